@@ -1,0 +1,304 @@
+"""What must be computed, and why: metadata only.
+
+A `Plan` walks the needed steps in topological order.  A step whose inputs' digests are all known has a key; the cache
+either knows what comes out (then the digests of its outputs are known too, and the walk goes on) or the step must be
+computed.  Steps behind one that must be computed stay *open* until its result is there: it may come out equal and cut
+off everything below.  `nodegraph.run` continues exactly this walk while it computes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+from nodegraph.cache import Cache, Recipe, Record, physical_memory
+from nodegraph.cache import keys as cache_keys
+from nodegraph.errors import GraphError, NodeError, nearest, sentence
+from nodegraph.fingerprint import Fingerprints
+from nodegraph.network import Network, Step
+from nodegraph.nodetypes import Forecast, Node
+from nodegraph.opencl import Device
+from nodegraph.plugins import registry
+from nodegraph.reasons import CHECKED, EVICTED, FORCED, NEVER, NOT_STORED, explain
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """What a plan says of one node: ``cached``, ``compute``, ``open`` (depends on what is computed) or ``failed``."""
+
+    id: str
+    type: str
+    action: Literal["cached", "compute", "open", "failed"]
+    reason: str
+    bytes: int
+
+
+class Plan:
+    """Which steps are needed, which are known, and why the others are not.
+
+    Lists are by step index.
+
+    Attributes:
+        network: what is planned.
+        cache: where results are remembered.
+        needed: steps the targets depend on, themselves included, in topological order.
+        targets: (step, output) wanted.
+        key: cache key once all inputs' digests are known.
+        record: what the cache knows under that key.
+        digests: content digests of the outputs once known.
+        error: why a step cannot run, found while planning (a missing file).
+        device: the OpenCL device that twins run on, or None.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        cache: Cache,
+        targets: Iterable[str] = (),
+        *,
+        device: Device | None = None,
+        force: Iterable[str] = (),
+        checked: bool = False,
+    ) -> None:
+        self.network = network
+        self.cache = cache
+        self.device = device
+        self.checked = checked
+        wanted = list(targets)
+        self.targets = [network.find(target) for target in wanted] or [(index, 0) for index in network.sinks()]
+        self.needed = network.ancestors(index for index, _ in self.targets)
+        self.forced = _forced(network, force)
+        count = len(network.steps)
+        self.key: list[bytes | None] = [None] * count
+        self.record: list[Record | None] = [None] * count
+        self.digests: list[tuple[bytes, ...] | None] = [None] * count
+        self.error: list[NodeError | None] = [None] * count
+        self.recompute: dict[int, str] = {}
+        self._types: dict[int, tuple[bytes, str, str]] = {}
+        self._history: dict[str, bytes] | None = None
+        for index in self.needed:
+            if all(self.digests[source] is not None for _, source, _ in network.steps[index].inputs):
+                self.resolve(index)
+
+    # Resolving one step; the scheduler goes on with this.
+
+    def resolve(self, index: int) -> bool:
+        """Give a step its key, all of whose inputs are known; return True when the cache knows the result.
+
+        A file that cannot be read sets `error` instead.
+        """
+        step = self.network.steps[index]
+        digests = self.digests
+        inputs = [(port, digests[source][output]) for port, source, output in step.inputs]  # type: ignore[index]
+        files = None
+        if step.files:
+            try:
+                files = {name: self._file_digest(step, name) for name in step.files}
+            except OSError as error:
+                where = f"parameter '{next(iter(step.files))}': {sentence(error)}"
+                self.error[index] = NodeError(step.id, step.node.id, where)
+                self.error[index].__cause__ = error  # type: ignore[union-attr]
+                return False
+        self.key[index] = key = cache_keys.key(self._of_type(step.node)[0], step.canonical, inputs, files)
+        record = self.cache.lookup(key)
+        if record is not None and len(record.digests) != len(step.node.outputs):
+            record = None
+        self.record[index] = record
+        if record is None or self.checked or index in self.forced:
+            return False
+        self.digests[index] = record.digests
+        return True
+
+    def _of_type(self, node: Node[..., object]) -> tuple[bytes, str, str]:
+        """Return what all steps of one node type share: the prefix of their keys, code fingerprint, device class."""
+        known = self._types.get(id(node))
+        if known is None:
+            code = fingerprints().of(node)
+            device = self.device.class_id if self.device is not None and node.twin is not None else ""
+            known = (cache_keys.prefix(node.id, node.version, code, device), code.hex(), device)
+            self._types[id(node)] = known
+        return known
+
+    def _file_digest(self, step: Step, name: str) -> bytes:
+        parts = []
+        for mark, path in step.files[name]:
+            for file in mark.related(path):
+                if file.is_dir():
+                    raise IsADirectoryError(21, "Is a directory, a file is needed", str(file))
+                parts.append(file.name.encode() + b"\0" + self.cache.file_digest(file))
+        return b"\0".join(parts)
+
+    def recipe(self, index: int) -> Recipe:
+        """Return what goes into the key of a resolved step, readable."""
+        step = self.network.steps[index]
+        digests = self.digests
+        inputs = tuple([(port, digests[source][output]) for port, source, output in step.inputs])  # type: ignore[index]
+        files = {}
+        for name, entries in step.files.items():
+            names = ", ".join(path.name for _, path in entries)
+            files[name] = f"{cache_keys.prefix('', 0, self._file_digest(step, name)).hex()} {names}"
+        _, code, device = self._of_type(step.node)
+        return Recipe(step.node.id, step.node.version, code, step.canonical.decode(), inputs, files, device)
+
+    # Why.
+
+    def reason(self, index: int) -> str:
+        """Return why a resolved step is computed."""
+        if index in self.forced:
+            return FORCED
+        if index in self.recompute:
+            return self.recompute[index]
+        if self.checked and self.record[index] is not None:
+            return CHECKED
+        if self._history is None:
+            self._history = self.cache.history(self.network.home)
+        before = self._history.get(self.network.steps[index].id)
+        if before is None:
+            return NEVER
+        if before == self.key[index]:
+            return EVICTED
+        old = self.cache.lookup(before)
+        return explain(old.recipe, self.recipe(index)) if old is not None else "changed since it was last remembered"
+
+    def reason_for_value(self, index: int) -> str:
+        """Return why a step whose result is known is computed all the same: its value is not at hand."""
+        record = self.record[index]
+        return EVICTED if record is not None and record.worth_storing else NOT_STORED
+
+    def remember(self) -> None:
+        """Note the keys of this run, for the reasons of the next."""
+        history = self.cache.history(self.network.home) if self._history is None else self._history
+        steps = self.network.steps
+        fresh = {name: key for name, key in history.items() if name in self.network.ids}
+        for index in self.needed:
+            if (key := self.key[index]) is not None:
+                fresh[steps[index].id] = key
+        if fresh != history:
+            self.cache.set_history(self.network.home, fresh)
+            self._history = fresh
+
+    # What to expect.
+
+    def demanded(self) -> set[int]:
+        """Return the steps that will be computed as far as is known now, with known inputs whose values are gone."""
+        compute = {index for index in self.needed if self.digests[index] is None and self.error[index] is None}
+        stack = list(compute)
+        while stack:
+            for _, source, _ in self.network.steps[stack.pop()].inputs:
+                digests = self.digests[source]
+                if source not in compute and digests is not None and not all(map(self.cache.has, digests)):
+                    compute.add(source)
+                    self.recompute.setdefault(source, self.reason_for_value(source))
+                    stack.append(source)
+        return compute
+
+    def entries(self) -> list[Planned]:
+        """Return what the plan says of each needed node, in topological order."""
+        compute = self.demanded()
+        sizes = self.forecasts(compute)
+        found = []
+        for index in self.needed:
+            step = self.network.steps[index]
+            size = sizes[index].bytes
+            error = self.error[index]
+            if error is not None:
+                found.append(Planned(step.id, step.node.id, "failed", error.message, 0))
+            elif index not in compute:
+                found.append(Planned(step.id, step.node.id, "cached", "", size))
+            elif self.key[index] is not None:
+                found.append(Planned(step.id, step.node.id, "compute", self.reason(index), size))
+            else:
+                sources = dict.fromkeys(port for port, source, _ in step.inputs if self.digests[source] is None)
+                reason = "depends on input " + ", ".join(sources)
+                found.append(Planned(step.id, step.node.id, "open", reason, size))
+        return found
+
+    def forecasts(self, compute: set[int]) -> dict[int, Forecast]:
+        """Return what each needed step will weigh: as remembered where it is known, as the node forecasts where not."""
+        found: dict[int, Forecast] = {}
+        for index in self.needed:
+            step = self.network.steps[index]
+            inputs: dict[str, list[Forecast]] = {}
+            for port, source, _ in step.inputs:
+                inputs.setdefault(port, []).append(found[source])
+            try:
+                forecast = step.node.predict(inputs, step.params)
+            except Exception:  # a forecast may fail on what the node itself will report better
+                forecast = Forecast(0)
+            record = self.record[index]
+            if record is not None:
+                forecast = Forecast(sum(record.sizes), forecast.peak if index in compute else 0, forecast.about)
+            found[index] = forecast
+        return found
+
+    def peak_bytes(self) -> int:
+        """Return the bytes that values will take at most, computing one node after the other and releasing early."""
+        compute = self.demanded()
+        if not compute:
+            return 0
+        forecasts = self.forecasts(compute)
+        held = {
+            index: sum(1 for consumer in self.network.consumers[index] if consumer in compute) for index in self.needed
+        }
+        pinned = {index for index, _ in self.targets}
+        live = peak = 0
+        for index in self.needed:
+            if index not in compute and not held[index]:
+                continue
+            live += forecasts[index].bytes
+            peak = max(peak, live + forecasts[index].peak)
+            if index in compute:
+                for _, source, _ in self.network.steps[index].inputs:
+                    held[source] -= 1
+                    if held[source] == 0 and source not in pinned:
+                        live -= forecasts[source].bytes
+        return peak
+
+    def check_memory(self) -> None:
+        """Raise `GraphError` when the run cannot fit in memory, naming what it needs and the largest node."""
+        if not any(self.network.steps[index].node.forecasts for index in self.needed):
+            return
+        peak, limit = self.peak_bytes(), physical_memory()
+        if peak <= limit:
+            return
+        compute = self.demanded()
+        forecasts = self.forecasts(compute)
+        largest = max(compute, key=lambda index: forecasts[index].bytes)
+        step = self.network.steps[largest]
+        raise GraphError(
+            f"the run needs {human_bytes(peak)} of memory, the machine has {human_bytes(limit)}; the largest value is "
+            f"that of node '{step.id}' ({human_bytes(forecasts[largest].bytes)}): crop or resample before it",
+            self.network.name,
+        )
+
+
+def human_bytes(count: int) -> str:
+    """Return a number of bytes for a person.
+
+    >>> human_bytes(3_500_000)
+    '3.5 MB'
+    """
+    size = float(count)
+    for unit in ("B", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size:.0f} {unit}" if unit == "B" else f"{size:.1f} {unit}"
+        size /= 1000
+    return f"{size:.1f} TB"
+
+
+@functools.cache
+def fingerprints() -> Fingerprints:
+    """Return the fingerprints of this process: code is read once, when its node is first planned."""
+    return Fingerprints(registry().packages())
+
+
+def _forced(network: Network, names: Iterable[str]) -> set[int]:
+    found = set()
+    for name in names:
+        inside = [index for id, index in network.ids.items() if id == name or id.startswith(f"{name}/")]
+        if not inside:
+            raise GraphError(f"no node '{name}' to force; {nearest(name, network.ids)}", network.name)
+        found.update(inside)
+    return found

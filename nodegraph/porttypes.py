@@ -1,0 +1,131 @@
+"""Port types: what may travel on a wire.
+
+A port type is a frozen dataclass whose fields hold arrays, scalars, strings, tuples of these and other port types.
+From its fields alone the engine derives the content digest, the read-only freeze and the HDF5 encoding
+(`nodegraph.codec`), so a new type costs no storage code.  A subclass may travel wherever its base may.
+
+The scalars `bool`, `int`, `float` and `str` and plain `numpy.ndarray` are port types too.
+
+>>> @port_type
+... class Track:
+...     '''A walked line, (n, 2) metres.'''
+...     points: np.ndarray
+...     name: str = ""
+>>> describe(Track)
+'Track'
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+
+import numpy as np
+
+from nodegraph.errors import PluginError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+T = TypeVar("T", bound=type)
+
+BUILTIN: dict[str, type] = {"Boolean": bool, "Integer": int, "Number": float, "Text": str, "Array": np.ndarray}
+"""The port types that need no declaration, by name."""
+
+_by_name: dict[str, type] = dict(BUILTIN)
+_names: dict[type, str] = {cls: name for name, cls in BUILTIN.items()}
+_fields: dict[type, tuple[str, ...]] = {}
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
+def port_type(cls: T) -> T:
+    """Declare a class as a port type: make it a frozen dataclass and register it under its name.
+
+    Declaring the same class again (a reloaded module, a notebook cell) replaces the earlier declaration; a class of
+    the same name from another module raises `PluginError`, naming both.
+    """
+    if "__dataclass_params__" not in cls.__dict__:
+        cls = dataclasses.dataclass(frozen=True, eq=False)(cls)  # type: ignore[assignment]
+    if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
+        raise PluginError(f"port type '{cls.__name__}' ({cls.__module__}): must be a frozen dataclass")
+    name = cls.__name__
+    known = _by_name.get(name)
+    if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
+        raise PluginError(
+            f"port type '{name}' ({cls.__module__}): the name is taken by '{known.__module__}'; choose another"
+        )
+    _by_name[name] = cls
+    _names[cls] = name
+    _fields[cls] = tuple(field.name for field in dataclasses.fields(cls))
+    return cls
+
+
+def is_port_type(cls: object) -> bool:
+    """Say whether values of `cls` may travel on a wire."""
+    return isinstance(cls, type) and cls in _names
+
+
+def describe(cls: type) -> str:
+    """Return the registered name of a port type (its class name where it is none)."""
+    return _names.get(cls, cls.__name__)
+
+
+def named(name: str) -> type | None:
+    """Return the port type registered under `name`, or None."""
+    return _by_name.get(name)
+
+
+def field_names(cls: type) -> tuple[str, ...] | None:
+    """Return the field names of a declared port type in order, or None for anything else."""
+    return _fields.get(cls)
+
+
+def all_types() -> Iterator[tuple[str, type]]:
+    """Yield (name, class) of every declared port type, sorted by name."""
+    yield from sorted(_by_name.items())
+
+
+def summary(cls: type) -> str:
+    """Return the first line of a port type's documentation."""
+    if cls in BUILTIN.values():
+        return "A NumPy array of numbers." if cls is np.ndarray else f"A Python {cls.__name__}."
+    return (inspect.getdoc(cls) or "").split("\n", 1)[0]
+
+
+def accepts(target: type, source: type) -> bool:
+    """Say whether a value of `source` may enter a port of `target` as it is: the same type, or a subtype of it."""
+    if source is bool:
+        return target is bool
+    return issubclass(source, target) or (target is float and source is int)
+
+
+def conform(value: Any, target: type) -> Any:
+    """Return `value` as an instance of the port type `target`, or raise `TypeError` saying what it is instead.
+
+    NumPy scalars become Python scalars and integers widen to `float`; nothing else is converted.
+    """
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, target) and not (target is int and isinstance(value, bool)):
+        return value
+    if target is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    raise TypeError(f"expected {describe(target)}, got {describe(type(value))}")
+
+
+def shape_text(value: Any) -> str:
+    """Return the shape and dtype of a value's largest array for reports, such as ``(344, 403) float32``."""
+    array: npt.NDArray[Any] | None = None
+    stack = [value]
+    while stack:
+        item = stack.pop()
+        if isinstance(item, np.ndarray):
+            if array is None or item.nbytes > array.nbytes:
+                array = item
+        elif isinstance(item, tuple):
+            stack.extend(item)
+        elif (names := _fields.get(type(item))) is not None:
+            stack.extend(getattr(item, name) for name in names)
+    return "" if array is None else f"{array.shape} {array.dtype}"
