@@ -13,6 +13,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
+from xxhash import xxh3_128_hexdigest
+
 from nodegraph.cache import Cache, Recipe, Record, physical_memory
 from nodegraph.cache import keys as cache_keys
 from nodegraph.errors import GraphError, NodeError, nearest, sentence
@@ -76,6 +78,7 @@ class Plan:
         self.digests: list[tuple[bytes, ...] | None] = [None] * count
         self.error: list[NodeError | None] = [None] * count
         self.recompute: dict[int, str] = {}
+        self._files: dict[int, dict[str, bytes]] = {}
         self._types: dict[int, tuple[bytes, str, str]] = {}
         self._history: dict[str, bytes] | None = None
         for index in self.needed:
@@ -95,7 +98,7 @@ class Plan:
         files = None
         if step.files:
             try:
-                files = {name: self._file_digest(step, name) for name in step.files}
+                files = self._files[index] = {name: self._file_digest(step, name) for name in step.files}
             except OSError as error:
                 where = f"parameter '{next(iter(step.files))}': {sentence(error)}"
                 self.error[index] = NodeError(step.id, step.node.id, where)
@@ -130,15 +133,23 @@ class Plan:
                 parts.append(file.name.encode() + b"\0" + self.cache.file_digest(file))
         return b"\0".join(parts)
 
+    def files_unchanged(self, index: int) -> bool:
+        """Say whether the files that a step reads still hold what went into its key."""
+        step = self.network.steps[index]
+        try:
+            return all(self._file_digest(step, name) == digest for name, digest in self._files[index].items())
+        except OSError:
+            return False
+
     def recipe(self, index: int) -> Recipe:
         """Return what goes into the key of a resolved step, readable."""
         step = self.network.steps[index]
         digests = self.digests
         inputs = tuple([(port, digests[source][output]) for port, source, output in step.inputs])  # type: ignore[index]
         files = {}
-        for name, entries in step.files.items():
-            names = ", ".join(path.name for _, path in entries)
-            files[name] = f"{cache_keys.prefix('', 0, self._file_digest(step, name)).hex()} {names}"
+        for name, digest in self._files.get(index, {}).items():
+            names = ", ".join(path.name for _, path in step.files[name])
+            files[name] = f"{xxh3_128_hexdigest(digest)} {names}"
         _, code, device = self._of_type(step.node)
         return Recipe(step.node.id, step.node.version, code, step.canonical.decode(), inputs, files, device)
 

@@ -20,14 +20,11 @@ from __future__ import annotations
 import dataclasses
 import inspect
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
+from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 
 from nodegraph.errors import PluginError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 T = TypeVar("T", bound=type)
 
@@ -117,11 +114,13 @@ def conform(value: Any, target: type) -> Any:
 
 def shape_text(value: Any) -> str:
     """Return the shape and dtype of a value's largest array for reports, such as ``(344, 403) float32``."""
-    array: npt.NDArray[Any] | None = None
+    if isinstance(value, (int, float, str)):
+        return ""
+    array: Any = None
     stack = [value]
     while stack:
         item = stack.pop()
-        if isinstance(item, np.ndarray):
+        if hasattr(item, "dtype"):  # an array, on the host or on a device
             if array is None or item.nbytes > array.nbytes:
                 array = item
         elif isinstance(item, tuple):

@@ -88,7 +88,8 @@ class Record:
         restore: seconds to have its values again: the same plus that of inputs which are not stored.
         files: (name, size, digest) of files that its outputs hold, for export nodes.
         recipe: what went into the key.
-        peak: bytes the node held at most while it ran, 0 where unknown.
+        peak: bytes of the node's inputs and outputs together.
+        shapes: shape and dtype of each output's largest array as text, empty where it has none.
     """
 
     key: bytes
@@ -99,6 +100,7 @@ class Record:
     files: tuple[tuple[str, int, str], ...]
     recipe: Recipe
     peak: int = 0
+    shapes: tuple[str, ...] = ()
 
     @property
     def worth_storing(self) -> bool:
@@ -110,13 +112,22 @@ class Record:
         digests = [digest.hex() for digest in self.digests]
         type_id, version, code, params, inputs, files, device = self.recipe
         recipe = (type_id, version, code, params, [(port, value.hex()) for port, value in inputs], files, device)
-        data = (digests, self.sizes, round(self.seconds, 6), round(self.restore, 6), self.files, recipe, self.peak)
+        data = (
+            digests,
+            self.sizes,
+            round(self.seconds, 6),
+            round(self.restore, 6),
+            self.files,
+            recipe,
+            self.peak,
+            self.shapes,
+        )
         return _to_json(data).encode()
 
     @classmethod
     def parse(cls, key: bytes, body: bytes) -> Record:
         """Return the record that `body` describes."""
-        digests, sizes, seconds, restore, files, recipe, peak = json.loads(body)
+        digests, sizes, seconds, restore, files, recipe, peak, shapes = json.loads(body)
         type_id, version, code, params, inputs, read, device = recipe
         return cls(
             key,
@@ -129,6 +140,7 @@ class Record:
                 type_id, version, code, params, tuple((p, bytes.fromhex(value)) for p, value in inputs), read, device
             ),
             peak,
+            tuple(shapes),
         )
 
 
