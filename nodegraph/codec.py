@@ -183,6 +183,10 @@ def _array_digest(array: Array) -> bytes:
     if type(array) is not np.ndarray or array.dtype.kind not in "biufcSUmM" or array.dtype.hasobject:
         raise _refuse(array)
     array.flags.writeable = False
+    base = array.base
+    while isinstance(base, np.ndarray):  # else a node that keeps the whole could change the part it gave away
+        base.flags.writeable = False
+        base = base.base
     contiguous = np.ascontiguousarray(array)
     content = xxh3_128_digest(contiguous.reshape(-1).view(np.uint8).data) if array.nbytes else b""
     return xxh3_128_digest(f"A{array.dtype.str}{array.shape}".encode() + content)

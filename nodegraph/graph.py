@@ -87,7 +87,7 @@ class Graph:
         self._original: tuple[str, str] = ("", "")
         self._edits = 0
         self._numbers: dict[str, int] = {}
-        self._network: tuple[int, Network] | None = None
+        self._network: tuple[object, Network] | None = None
 
     # The file.
 
@@ -306,8 +306,10 @@ class Graph:
 
         if overrides:
             return build(self, overrides)
-        if self._network is None or self._network[0] != self._edits:
-            self._network = (self._edits, build(self, {}))
+        state = (self._edits, self.folder, (self._registry or registry()).changes)
+        if self._network is None or self._network[0] != (state, _stamps(self._network[1])):
+            network = build(self, {})
+            self._network = ((state, _stamps(network)), network)
         return self._network[1]
 
     def validate(self) -> None:
@@ -328,8 +330,7 @@ class Graph:
         import networkx
 
         graph = networkx.MultiDiGraph(name=self.name)
-        for id, record in self._data["nodes"].items():
-            graph.add_node(id, **record)
+        graph.add_nodes_from((id, dict(record)) for id, record in self._data["nodes"].items())
         for id, record in self._data["nodes"].items():
             for port, links in record.get("inputs", {}).items():
                 for link in _as_list(links):
@@ -341,7 +342,7 @@ class Graph:
         """Say what a run would compute and why, without running anything.  Options as for `run`."""
         from nodegraph.run import plan_graph
 
-        return plan_graph(self, [str(_link(target)) for target in targets], **options)
+        return plan_graph(self, _targets(targets), **options)
 
     def run(
         self,
@@ -380,13 +381,13 @@ class Graph:
 
         return run_graph(
             self,
-            [str(_link(target)) for target in targets],
+            _targets(targets),
             overrides=set,
             cache=cache,
             jobs=jobs,
             device=device,
             out=out,
-            force=tuple(force),
+            force=(force,) if isinstance(force, str) else tuple(force),
             checked=checked,
             observers=tuple(observers),
             check=check,
@@ -413,6 +414,23 @@ def _umask() -> int:
     mask = os.umask(0o077)
     os.umask(mask)
     return mask
+
+
+def _stamps(network: Network) -> list[tuple[int, int] | None]:
+    """Return size and time of change of the graph files that a network holds."""
+    found: list[tuple[int, int] | None] = []
+    for path in network.sources:
+        try:
+            status = path.stat()
+            found.append((status.st_size, status.st_mtime_ns))
+        except OSError:
+            found.append(None)
+    return found
+
+
+def _targets(targets: Any) -> list[str]:
+    one = isinstance(targets, (str, Handle, Ref))
+    return [str(_link(target)) for target in ([targets] if one else targets)]
 
 
 def _exact(data: Any) -> str:

@@ -15,9 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from packaging.specifiers import InvalidSpecifier, SpecifierSet
-from packaging.version import InvalidVersion, Version
-
 from nodegraph import porttypes
 from nodegraph.errors import GraphError, Problem, nearest
 from nodegraph.files import check_name
@@ -210,6 +207,11 @@ class _Builder:
         return scope
 
     def _requirements(self, scope: _Scope) -> None:
+        if not scope.data.get("requires"):
+            return
+        from packaging.specifiers import InvalidSpecifier, SpecifierSet
+        from packaging.version import InvalidVersion, Version
+
         for name, text in scope.data.get("requires", {}).items():
             where = f"{scope.name}: requires '{name}'"
             try:
@@ -331,7 +333,7 @@ class _Builder:
         if not isinstance(path, str) or not path:
             self.problem(where, "parameter 'path' is missing: the graph file, relative to this one")
             return
-        file = (graph.folder / Path(path).expanduser()).resolve()
+        file = (graph.folder / _without_tilde(Path(path))).resolve()
         here = (*around, graph.path.resolve()) if graph.path else around
         if file in here:
             self.problem(where, f"'{path}' contains itself; graph files must not form a circle")
@@ -542,7 +544,14 @@ class _Builder:
 def _absolute(value: Any, folder: Path) -> Any:
     if isinstance(value, (list, tuple)):
         return type(value)(_absolute(item, folder) for item in value)
-    return folder / value.expanduser() if isinstance(value, Path) else value
+    return folder / _without_tilde(value) if isinstance(value, Path) else value
+
+
+def _without_tilde(path: Path) -> Path:
+    try:
+        return path.expanduser()
+    except RuntimeError:  # '~name' where there is nobody of that name
+        return path
 
 
 def _article(name: str) -> str:

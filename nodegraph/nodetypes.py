@@ -20,6 +20,7 @@ are the node's parameters, and the return annotation gives the outputs: one port
 
 from __future__ import annotations
 
+import copy
 import functools
 import inspect
 import time
@@ -28,6 +29,7 @@ import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
 from nodegraph.context import Context
@@ -38,6 +40,8 @@ from nodegraph.porttypes import conform, describe, is_port_type
 P = ParamSpec("P")
 R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
+
+_IMMUTABLE = frozenset({bool, int, float, str, bytes, type(None), type(Path())})
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,6 +287,8 @@ class Node(Generic[P, R]):
             if self.twin is None:
                 raise PluginError(f"node '{self.id}' has no OpenCL twin")
             function, name = self.twin.function, _context_name(self.twin.function) or name
+        if not all(type(value) in _IMMUTABLE for value in params.values()):
+            params = copy.deepcopy(dict(params))  # the engine calls again with these: a node may not change them
         if name is not None:
             params = {**params, name: context}
         result = function(*self._arguments(inputs), **params)

@@ -65,10 +65,14 @@ class InputFile:
 
     def related(self, path: Path) -> list[Path]:
         """Return `path` and the sidecars of it that exist, in a fixed order."""
+        return [path, *(sidecar for sidecar in self.candidates(path)[1:] if sidecar.is_file())]
+
+    def candidates(self, path: Path) -> list[Path]:
+        """Return `path` and every sidecar of it that the reader would look at, whether it exists or not."""
         found = [path]
         for suffix in self.sidecars:
             sidecar = path.with_name(path.name + suffix[1:]) if suffix.startswith("*") else path.with_suffix(suffix)
-            if sidecar != path and sidecar.is_file():
+            if sidecar != path:
                 found.append(sidecar)
         return found
 

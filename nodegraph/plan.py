@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from xxhash import xxh3_128_hexdigest
 
@@ -21,9 +21,11 @@ from nodegraph.errors import GraphError, NodeError, nearest, sentence
 from nodegraph.fingerprint import Fingerprints
 from nodegraph.network import Network, Step
 from nodegraph.nodetypes import Forecast, Node
-from nodegraph.opencl import Device
 from nodegraph.plugins import registry
 from nodegraph.reasons import CHECKED, EVICTED, FORCED, NEVER, NOT_STORED, explain
+
+if TYPE_CHECKING:
+    from nodegraph.opencl import Device
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +101,7 @@ class Plan:
         if step.files:
             try:
                 files = self._files[index] = {name: self._file_digest(step, name) for name in step.files}
-            except OSError as error:
+            except (OSError, ValueError) as error:  # ValueError: a name that no file can have
                 where = f"parameter '{next(iter(step.files))}': {sentence(error)}"
                 self.error[index] = NodeError(step.id, step.node.id, where)
                 self.error[index].__cause__ = error  # type: ignore[union-attr]
@@ -179,12 +181,12 @@ class Plan:
         return EVICTED if record is not None and record.worth_storing else NOT_STORED
 
     def remember(self) -> None:
-        """Note the keys of this run, for the reasons of the next."""
+        """Note the keys of the results of this run, for the reasons of the next."""
         history = self.cache.history(self.network.home) if self._history is None else self._history
         steps = self.network.steps
         fresh = {name: key for name, key in history.items() if name in self.network.ids}
         for index in self.needed:
-            if (key := self.key[index]) is not None:
+            if (key := self.key[index]) is not None and self.digests[index] is not None:
                 fresh[steps[index].id] = key
         if fresh != history:
             self.cache.set_history(self.network.home, fresh)

@@ -126,10 +126,15 @@ class Registry:
     """Everything that plugins brought: node types by id, conversions, previews, migrations.
 
     Families are listed at once and imported when first asked for; `activate_all` imports every one of them.
+
+    Attributes:
+        plugins: by name, those that failed among them.
+        changes: goes up whenever a plugin or a node is added or replaced.
     """
 
     def __init__(self) -> None:
         self.plugins: dict[str, Plugin] = {}
+        self.changes = 0
         self._nodes: dict[str, Node[..., Any]] = {}
         self._families: dict[str, tuple[Plugin, Family]] = {}
         self._loaded_families: set[str] = set()
@@ -171,6 +176,7 @@ class Registry:
             raise PluginError(f"plugin '{plugin.name}': {sentence(error)}") from error
         plugin.families = families
         self.plugins[plugin.name] = plugin
+        self.changes += 1
         for family in families:
             self._families[family.name] = (plugin, family)
         return plugin
@@ -185,7 +191,9 @@ class Registry:
         known = self._nodes.get(node.id)
         if known is not None and known is not node and _home(known) != _home(node):
             raise PluginError(f"node '{node.id}' is already declared in {_home(known)[0]}; choose another name")
-        self._nodes[node.id] = node
+        if known is not node:
+            self._nodes[node.id] = node
+            self.changes += 1
         return node
 
     def _call(self, plugin: Plugin, hook: str) -> list[Any]:

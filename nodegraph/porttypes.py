@@ -109,6 +109,8 @@ def conform(value: Any, target: type) -> Any:
         return value
     if target is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
+    if target is np.ndarray and type(value).__module__.startswith("pyopencl."):  # inside a twin
+        return value
     raise TypeError(f"expected {describe(target)}, got {describe(type(value))}")
 
 

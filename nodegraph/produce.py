@@ -83,7 +83,7 @@ class Producer:
             return work()
         except NodeError as error:
             return error
-        except (Exception, SystemExit) as error:  # whatever a node may raise fails that node only
+        except BaseException as error:  # whatever a node may raise fails that node only
             if isinstance(error, Cancelled) and self._cancel.is_set():
                 return Outcome("cancelled")
             failure = NodeError(step.id, step.node.id, sentence(error))
@@ -168,8 +168,18 @@ class Producer:
         return outcome
 
     def _cost_of_inputs(self, step: Step) -> float:
-        records = [self._plan.record[source] for source in {source for _, source, _ in step.inputs}]
-        return sum(record.restore for record in records if record is not None and not record.worth_storing)
+        """Return what having the inputs again would take where they are not stored, s.
+
+        An input that several steps consume counts by its share for each, as area flow does in technology mapping: a
+        chain or a tree is counted exactly, and shared ancestors are not counted once for every path to them, which
+        would grow with the depth of a graph without limit.
+        """
+        plan, cost = self._plan, 0.0
+        for _, source, _ in step.inputs:
+            record = plan.record[source]
+            if record is not None and not record.worth_storing:
+                cost += record.restore / len(plan.network.consumers[source])
+        return cost
 
     def _compare(self, index: int, digests: tuple[bytes, ...]) -> None:
         """Compare what was computed with what was remembered, where it should be the same."""

@@ -84,6 +84,7 @@ class Scheduler:
         self._unresolved = [0] * count
         self.values: list[tuple[Any, ...] | None] = [None] * count
         self._producing = bytearray(count)
+        self._loading = bytearray(count)
         self._unloadable = bytearray(count)
         self._missing = [0] * count
         self._waiters: dict[int, list[int]] = {}
@@ -235,7 +236,8 @@ class Scheduler:
             if self._status[current] == "cached":
                 self._open += 1
                 self._status[current] = None
-            if self._loadable(current):
+            self._loading[current] = self._loadable(current)
+            if self._loading[current]:
                 self._push(current)
                 continue
             if self.plan.record[current] is not None and not self._reason[current]:
@@ -354,7 +356,7 @@ class Scheduler:
                 while True:
                     while not self._ready and not self._over and self._crash is None:
                         self._work_waits.wait()
-                    if not self._ready:
+                    if not self._ready or self._cancel.is_set():
                         return
                     index = self._ready.pop()
                     if self._status[index] is not None:
@@ -406,7 +408,7 @@ class Scheduler:
                 self._outbox.append(Finished(self.node_run(index)))
 
     def _produce(self, index: int) -> Outcome | NodeError | None:
-        if self._loadable(index):
+        if self._loading[index]:  # decided when it was queued: had it not been there, its inputs would be at hand
             return self._producer.load(index)
         begun = self._begun[index] = time.perf_counter() - self._zero
         step = self._steps[index]

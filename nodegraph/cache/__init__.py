@@ -15,6 +15,7 @@ from __future__ import annotations
 import functools
 import logging
 import os
+import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,13 +28,11 @@ from xxhash import xxh3_128
 from nodegraph.cache.index import Index, Recipe, Record
 from nodegraph.cache.memory import MemoryStore
 from nodegraph.cache.store import DamagedError, ValueStore, verify
+from nodegraph.places import ANSWERS, CACHE_VERSION, default_cache_folder
 
-__all__ = ["Cache", "Recipe", "Record", "default_cache", "default_folder", "physical_memory"]
+__all__ = ["Cache", "Recipe", "Record", "default_cache", "physical_memory"]
 
 log = logging.getLogger("nodegraph.cache")
-
-VERSION = 1
-"""The layout of the cache folder.  Each version has its own subfolder, so versions never meet."""
 
 DISK_BUDGET = 20 << 30
 _FLUSH_SECONDS = 0.25
@@ -77,9 +76,9 @@ class Cache:
         self._flushed = time.monotonic()
         self._lock = Lock()
         self._storing = True
-        self._file_digests: dict[Path, tuple[tuple[int, int, int], bytes]] = {}
+        self._file_digests: dict[Path, tuple[tuple[int, ...], bytes]] = {}
         if folder is not None:
-            self._open(Path(folder) / f"v{VERSION}")
+            self._open(Path(folder) / f"v{CACHE_VERSION}")
 
     def _open(self, folder: Path) -> None:
         try:
@@ -192,20 +191,21 @@ class Cache:
     def file_digest(self, path: Path) -> bytes:
         """Return the digest of a file's contents, 16 bytes.  An unchanged file is read once.
 
-        Unchanged means the same size, time of change and inode; a file changed in the last two seconds is read again,
-        since a second change could carry the same time.
+        Unchanged means the same size, inode and times, that of the last change of its data or inode among them, which no
+        tool that copies or unpacks files can set back.  A file changed in the last two seconds is read again, since a
+        second change could carry the same time.
 
         Raises:
             OSError: it cannot be read.
         """
         status = path.stat()
-        stamp = (status.st_size, status.st_mtime_ns, status.st_ino)
-        stable = time.time_ns() - status.st_mtime_ns > _STABLE_NS
+        stamp = (status.st_size, status.st_mtime_ns, status.st_ctime_ns, status.st_ino)
+        stable = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _STABLE_NS
         known = self._file_digests.get(path)
         if known is None and self._index is not None and stable:
             entry = self._index.file(str(path))
             if entry is not None:
-                known = (tuple(entry[:3]), bytes.fromhex(entry[3]))
+                known = (tuple(entry[:-1]), bytes.fromhex(entry[-1]))
         if known is not None and known[0] == stamp and stable:
             self._file_digests[path] = known
             return known[1]
@@ -288,6 +288,8 @@ class Cache:
                 self._discard(digest)
         found += [f"{table}: a row is damaged; removed" for table, _ in self._index.damaged_rows()]
         self._records.clear()
+        if found:
+            self._drop_answers()
         return found
 
     def clear(self) -> int:
@@ -303,8 +305,14 @@ class Cache:
             self._store.remove(digest)
             freed += size
         self._index.clear()
+        self._drop_answers()
         self._size = 0
         return freed
+
+    def _drop_answers(self) -> None:
+        # What the command line noted of earlier runs rests on what was just removed.
+        if self.folder is not None:
+            shutil.rmtree(self.folder / ANSWERS, ignore_errors=True)
 
     def summary(self) -> Summary:
         """Return what the cache holds."""
@@ -337,16 +345,7 @@ def physical_memory() -> int:
     return total
 
 
-def default_folder() -> Path:
-    """Return the cache folder of this user: ``$NODEGRAPH_CACHE_DIR``, or the platform's place for caches."""
-    if chosen := os.environ.get("NODEGRAPH_CACHE_DIR"):
-        return Path(chosen)
-    import platformdirs
-
-    return Path(platformdirs.user_cache_dir("nodegraph"))
-
-
 @functools.cache
 def default_cache() -> Cache:
     """Return the cache of this process in the user's folder."""
-    return Cache(default_folder())
+    return Cache(default_cache_folder())

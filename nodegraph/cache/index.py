@@ -5,7 +5,7 @@ Tables (every row of `results`, `histories` and `files` carries a checksum of it
 ``results``    key -> what came out: digests and sizes of the outputs, seconds, files made, and the recipe, that is all
                that went into the key in readable form, which the next run needs to say what changed.
 ``histories``  graph -> key of each of its nodes in its last run.
-``files``      path -> size, time of change, inode and digest of a file that was read, so that it is hashed once.
+``files``      path -> size, times of change, inode and digest of a file that was read, so that it is hashed once.
 ``stored``     value digest -> size, cost and priority of a value on disk, for the garbage collector.
 
 A damaged database is set aside and begun anew: what it knew is computed again.
@@ -85,7 +85,7 @@ class Record:
         key: its cache key.
         digests, sizes: content digest and bytes of each output, in order.
         seconds: what computing it took.
-        restore: seconds to have its values again: the same plus that of inputs which are not stored.
+        restore: seconds to have its values again: the same plus its share of that of inputs which are not stored.
         files: (name, size, digest) of files that its outputs hold, for export nodes.
         recipe: what went into the key.
         peak: bytes of the node's inputs and outputs together.
@@ -293,7 +293,7 @@ class Index:
         self._write(lambda connection: _many(connection, "INSERT OR REPLACE INTO histories VALUES (?, ?, ?)", [row]))
 
     def file(self, path: str) -> list[Any] | None:
-        """Return [size, time of change in ns, inode, digest hex] of a file as last read, or None."""
+        """Return [size, times of change in ns, inode, digest hex] of a file as last read, or None."""
         body = self._get("files", "path", path)
         return json.loads(body) if body else None
 
