@@ -316,7 +316,9 @@ def _curve(points: tuple[tuple[float, float], ...]) -> Callable[[Any], Any]:
     x, y = np.array(points, np.float64).T
     if len(x) < 2 or not np.all(np.diff(x) > 0):
         raise ValueError("the curve needs two or more points whose x rise from each to the next")
-    cubic = PchipInterpolator(x, y)
+    # Differences too small for a float64 count as none.
+    with np.errstate(over="ignore"):
+        cubic = PchipInterpolator(x, y)
 
     def held(share: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return np.asarray(cubic(np.clip(share, x[0], x[-1])))

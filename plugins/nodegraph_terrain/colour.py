@@ -102,12 +102,11 @@ def blend_shade(
 
     Level ground keeps its colour, so that the picture still matches its legend.
 
-    ``multiply`` works on the sRGB codes c (0..1), as image editors do, with the shade relative to level ground,
-    f = 1 + strength (shade / level - 1), at least 0:
+    ``multiply`` works on the sRGB codes c (0..1), as image editors do.  With the shade s below `level` l it dims,
+    above it the distance from white is what shrinks, to a half in full light, so that nothing burns out:
 
-        c' = c f                      where f <= 1, else 1 - (1 - c) (1 - min(f - 1, 1)),
-
-    so the lit side multiplies the distance from white, and nothing burns out.
+        c' = c (1 - strength (1 - s / l)), at least 0           for s <= l
+        c' = 1 - (1 - c) (1 - strength (s - l) / (2 (1 - l)))   for s > l
 
     ``overlay`` and ``soft_light`` change only the perceived lightness L (of Oklab, Ottosson 2020), so that colours keep
     their hue.  With t = 1/2 where the shade is `level`, falling to 0 in the dark and rising to 1 in full light, and
@@ -253,11 +252,10 @@ _OKLAB = np.array(
 
 
 def _multiply(codes: Bytes, light: Floats, strength: float, level: float) -> Bytes:
-    """Return the sRGB codes, (3, rows, cols), multiplied by the shade relative to level ground."""
-    factor = np.maximum(light * np.float32(strength / level) + np.float32(1 - strength), 0)
-    # Where f > 1 the codes' complement is multiplied instead.
-    lighter = np.maximum(2 - np.maximum(factor, 1), 0)
-    darker = np.minimum(factor, 1)
+    """Return the sRGB codes, (3, rows, cols), dimmed below the shade of level ground and lightened above it."""
+    offset = light - np.float32(level)
+    darker = np.clip(1 + np.float32(strength / level) * offset, 0, 1)
+    lighter = np.clip(1 - np.float32(strength / (2 - 2 * level)) * offset, 0, 1)
     return np.asarray(np.rint(255 - (255 - codes * darker) * lighter), np.uint8)
 
 

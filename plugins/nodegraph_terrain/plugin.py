@@ -34,10 +34,11 @@ def nodegraph_families() -> Sequence[Family]:
 
 @hookimpl
 def nodegraph_port_types() -> Sequence[type]:
-    """List the grid types."""
+    """List the grid types and the histogram."""
     from nodegraph_terrain.raster import GRIDS, Extent
+    from nodegraph_terrain.statistics import Histogram
 
-    return [Extent, *GRIDS]
+    return [Extent, *GRIDS, Histogram]
 
 
 @hookimpl

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,90 +27,81 @@ def hills(*, voids: bool = False) -> Elevation:
     return Elevation(data.astype(np.float32), EXTENT)
 
 
-def picture() -> Image:
-    return Image(DICE.integers(0, 256, (ROWS, COLS, 3)).astype(np.uint8), EXTENT)
-
-
 SOLID, HOLEY = hills(), hills(voids=True)
 DEGREES = Elevation(SOLID.data, Extent(-84.5, 36.0, -84.5 + COLS / 1200, 36.0 + ROWS / 1200, "EPSG:4326", "deg"))
 MASK = Mask(DICE.random((ROWS, COLS), np.float32), EXTENT)
 SHADE = Shade(DICE.random((ROWS, COLS), np.float32), EXTENT)
+PICTURE = Image(DICE.integers(0, 256, (ROWS, COLS, 4)).astype(np.uint8), EXTENT)
 PLAIN = Raster(DICE.normal(0, 1, (ROWS, COLS)).astype(np.float32), EXTENT)
 
 
-def arithmetic(**other: object) -> list[Example]:
-    return [Example({"surface": SOLID, "others": [PLAIN, HOLEY]}), Example({"surface": HOLEY}, other)]
+def cases(*params: dict[str, Any], **inputs: Any) -> list[Example]:
+    return [Example(inputs, item) for item in params]
 
+
+BOTH = [Example({"surface": SOLID}), Example({"surface": HOLEY})]
 
 EXAMPLES: dict[str, list[Example]] = {
-    "terrain.add": arithmetic(constant=2.5),
-    "terrain.subtract": arithmetic(constant=2.5),
-    "terrain.multiply": arithmetic(factor=2.5),
-    "terrain.minimum": arithmetic(limit=480.0),
-    "terrain.maximum": arithmetic(limit=520.0),
-    "terrain.aspect": [Example({"surface": SOLID}), Example({"surface": HOLEY})],
-    "terrain.blend_shade": [
-        Example({"image": picture(), "shade": SHADE}, {"mode": mode}) for mode in ("multiply", "overlay", "soft_light")
-    ],
-    "terrain.clamp": [Example({"surface": HOLEY}, {"minimum": 450, "maximum": 550})],
+    "terrain.add": cases({}, {"constant": 3.5}, surface=HOLEY, others=[PLAIN, SOLID]),
+    "terrain.aspect": BOTH,
+    "terrain.blend_shade": cases(
+        {}, {"mode": "overlay", "strength": 0.7}, {"mode": "soft_light", "level": 0.5}, image=PICTURE, shade=SHADE
+    ),
+    "terrain.clamp": cases({"minimum": 450, "maximum": 550}, surface=HOLEY),
     "terrain.colour_relief": [
-        Example({"surface": HOLEY}),
-        Example({"surface": SOLID}, {"colours": "viridis", "minimum": 400, "maximum": 600}),
-        Example({"surface": PLAIN}, {"colours": [[-1, "#000000"], [1, "#ffffff"]]}),
+        *BOTH,
+        *cases({"colours": "viridis", "minimum": 400, "maximum": 600}, surface=HOLEY),
+        *cases({"colours": [[-1, "#000000"], [1, "#ffffff"]]}, surface=PLAIN),
     ],
     "terrain.crop": [
-        Example({"surface": SOLID}, {"rows": [3, 20], "columns": [5, 25]}),
-        Example({"surface": SOLID}, {"extent": [500_100, 4_000_100, 500_500, 4_000_500]}),
-        Example({"surface": SOLID, "like": SOLID.window(slice(2, 9), slice(3, 8))}),
+        *cases(
+            {"rows": [3, 20], "columns": [5, 25]}, {"extent": [500_100, 4_000_100, 500_500, 4_000_500]}, surface=SOLID
+        ),
+        *cases({}, surface=SOLID, like=SOLID.window(slice(2, 9), slice(3, 8))),
     ],
-    "terrain.fill_voids": [
-        Example({"surface": HOLEY}, {"method": "laplace"}),
-        Example({"surface": HOLEY}, {"maximum_size": 5}),
-    ],
+    "terrain.fill_voids": cases({"method": "laplace"}, {"method": "nearest", "maximum_size": 5}, surface=HOLEY),
     "terrain.gaussian_smooth": [
-        Example({"surface": SOLID}, {"sigma": 45}),
-        Example({"surface": HOLEY}, {"sigma": 70, "truncate": 3}),
-        Example({"surface": PLAIN}, {"sigma": 0}),
+        *cases({"sigma": 45}, {"sigma": 5000}, surface=SOLID),
+        *cases({"sigma": 70, "truncate": 3}, {"sigma": 0}, surface=HOLEY),
     ],
     "terrain.hillshade": [
-        Example({"surface": surface}, {"mode": mode, "cast_shadows": shadows, "altitude": 20})
+        Example({"surface": surface}, {"mode": mode, "cast_shadows": shadows, "altitude": 20, "azimuth": 30})
         for surface in (SOLID, HOLEY)
         for mode in ("single", "multidirectional")
         for shadows in (False, True)
     ],
-    "terrain.load_elevation": [
-        Example({}, {"path": ASCII}),
-        Example({}, {"path": ASCII, "extent": [0, 0, 400, 300], "crs": "EPSG:32616", "vertical_unit": "ft"}),
-    ],
-    "terrain.mask_image": [Example({"mask": MASK})],
-    "terrain.mix": [Example({"first": SOLID, "second": HOLEY, "mask": MASK})],
+    "terrain.load_elevation": cases(
+        {"path": ASCII},
+        {"path": ASCII, "extent": [0, 0, 400, 300], "crs": "EPSG:32616", "vertical_unit": "ft"},
+    ),
+    "terrain.mask_image": cases({}, mask=MASK),
+    "terrain.maximum": cases({}, {"limit": 480}, surface=HOLEY, others=[SOLID]),
+    "terrain.minimum": cases({}, {"limit": 520}, surface=HOLEY, others=[SOLID]),
+    "terrain.mix": cases({}, first=SOLID, second=HOLEY, mask=MASK),
+    "terrain.multiply": cases({}, {"factor": 2.0}, surface=HOLEY, others=[MASK]),
     "terrain.remap": [
-        Example({"surface": HOLEY}, {"from_minimum": 400, "from_maximum": 600, "to_minimum": 0, "to_maximum": 1}),
-        Example({"surface": SOLID}, {"curve": [[0, 0], [0.3, 0.8], [1, 1]], "clamp": True}),
+        *BOTH,
+        *cases({"from_minimum": 400, "from_maximum": 600, "clamp": True}, surface=HOLEY),
+        *cases({"curve": [[0, 0], [0.3, 0.8], [1, 1]]}, surface=SOLID),
     ],
-    "terrain.reproject": [
-        Example({"surface": DEGREES}, {"cell_size": 60}),
-        Example({"surface": SOLID}, {"cell_size": 45}),
-    ],
+    "terrain.reproject": [*cases({"cell_size": 60}, surface=DEGREES), *cases({"cell_size": 45}, surface=SOLID)],
     "terrain.resample": [
-        Example({"surface": surface}, {"cell_size": size, "method": method})
-        for surface, size, method in (
-            (SOLID, 20, "bilinear"),
-            (HOLEY, 50, "area"),
-            (SOLID, 20, "cubic"),
-            (HOLEY, 45, "lanczos"),
-        )
+        *cases({"cell_size": 20, "method": "bilinear"}, {"cell_size": 20, "method": "cubic"}, surface=SOLID),
+        *cases({"cell_size": 50, "method": "area"}, {"cell_size": 45, "method": "lanczos"}, surface=HOLEY),
     ],
     "terrain.sample_dem": [Example()],
     "terrain.save_elevation": [
-        Example({"surface": HOLEY}, {"name": f"a/height{suffix}"})
-        for suffix in (".tif", ".png", ".r16", ".r32", ".asc", ".npy", ".h5")
+        *cases(
+            *({"name": f"a/b{suffix}"} for suffix in (".tif", ".png", ".r16", ".r32", ".asc", ".npy", ".h5")),
+            surface=HOLEY,
+        )
     ],
-    "terrain.save_image": [Example({"image": picture()}, {"name": name}) for name in ("a.png", "a.tif")],
-    "terrain.shade_image": [Example({"shade": SHADE})],
-    "terrain.slope": [Example({"surface": SOLID}), Example({"surface": HOLEY}, {"z_factor": 2})],
-    "terrain.statistics": [Example({"surface": HOLEY}, {"bins": 16})],
-    "terrain.to_mask": [Example({"surface": HOLEY}, {"lower": 480, "upper": 520})],
+    "terrain.save_image": cases({"name": "a.png"}, {"name": "a.tif"}, image=PICTURE),
+    "terrain.shade_image": cases({}, shade=SHADE),
+    "terrain.slope": [*BOTH, *cases({"z_factor": 2}, surface=HOLEY)],
+    "terrain.statistics": [*BOTH, *cases({"bins": 16}, surface=HOLEY)],
+    "terrain.subtract": cases({}, {"constant": 3.5}, surface=HOLEY, others=[PLAIN]),
+    "terrain.to_mask": cases({"lower": 480, "upper": 520}, {"lower": 500, "upper": 500}, surface=HOLEY),
 }
 
 

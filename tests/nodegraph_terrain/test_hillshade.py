@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nodegraph import Context
+from nodegraph.errors import Cancelled
 from nodegraph_terrain import hillshade as module
 from nodegraph_terrain.hillshade import hillshade
 from nodegraph_terrain.raster import Elevation, Extent, Shade
@@ -196,6 +199,17 @@ def test_the_twin_agrees_in_bands_and_on_voids_alone(device: Any, monkeypatch: p
     for params in ({}, {"cast_shadows": True}, {"mode": "multidirectional"}):
         assert np.isnan(hillshade(nothing, **params).data).all()
         assert np.isnan(on_device(nothing, device, **params)).all()
+
+
+def test_long_shadows_stop_within_a_second_when_cancelled() -> None:
+    stop = threading.Event()
+    surface = ground(20 * hills((1500, 1500)))
+    timer = threading.Timer(0.3, stop.set)
+    started = time.monotonic()
+    timer.start()
+    with pytest.raises(Cancelled):
+        hillshade(surface, altitude=1.0, cast_shadows=True, context=Context(cancelled=stop))
+    assert time.monotonic() - started < 1.3
 
 
 def test_north_west_faces_of_real_ridges_are_lit() -> None:
