@@ -21,7 +21,7 @@ class Context:
     """Handed to a node whose keyword parameter is annotated `Context`.
 
     A plain call of the node function, without an engine, gets an inert one: progress goes nowhere, nothing is ever
-    cancelled, the seed is 0 and there is no device.
+    cancelled, the seed is the call's parameter ``seed`` (0 where there is none) and there is no device.
 
     Attributes:
         node: the node's id in its graph.

@@ -74,7 +74,7 @@ def check_form(data: Any, where: str) -> list[Problem]:
     try:
         Document.model_validate(data)
     except ValidationError as error:
-        return [_explain(item, where) for item in error.errors(include_url=False)]
+        return list(dict.fromkeys(_explain(item, where) for item in error.errors(include_url=False)))
     if not data["nodes"]:
         return [Problem(where, "the graph has no nodes; add at least one under 'nodes'")]
     return [
@@ -98,10 +98,12 @@ def _check_format(given: Any, where: str) -> Problem | None:
 
 
 def _explain(item: Any, where: str) -> Problem:
-    path = [str(part) for part in item["loc"] if part not in ("str", "list[str]")]
+    path = [str(part) for part in item["loc"]]
     place = where
     if path[:1] == ["nodes"] and len(path) > 1:
         place, path = f"{where}: node '{path[1]}'", path[2:]
+        if path[:1] == ["inputs"] and len(path) > 2:
+            return Problem(place, f"'inputs.{path[1]}' should be 'node', 'node.port' or a list of these")
     name = ".".join(path)
     if item["type"] == "extra_forbidden":
         levels: dict[str, type[BaseModel]] = {"parameters": ExposedParameter, "inputs": ExposedInput}
@@ -113,7 +115,7 @@ def _explain(item: Any, where: str) -> Problem:
     if not path:
         return Problem(place, f"must be a JSON object, not {_kind(item['input'])}")
     message = item["msg"].replace("Input should", "should", 1)
-    message = message.replace("a valid dictionary", "an object").replace("a valid", "a")
+    message = message.replace("a valid dictionary", "an object").replace("a valid i", "an i").replace("a valid", "a")
     return Problem(place, f"'{name}' {message[:1].lower()}{message[1:]}, not {_kind(item['input'])}")
 
 

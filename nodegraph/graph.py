@@ -101,9 +101,10 @@ class Graph:
         path = Path(path)
         try:
             text = path.read_bytes()
-        except OSError as error:
-            raise GraphError(f"cannot be read ({error.strerror})", str(path)) from error
-        graph = cls.from_json(text, where=path.name, registry=registry)
+        except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+            why = getattr(error, "strerror", None) or error
+            raise GraphError(f"cannot be read ({why})", printable(path)) from error
+        graph = cls.from_json(text, where=printable(path.name), registry=registry)
         graph.path = path
         return graph
 
@@ -115,8 +116,7 @@ class Graph:
             raise GraphError(problems)
         graph = cls(registry=registry)
         graph._data = data
-        original = text.decode("utf-8-sig") if isinstance(text, bytes) else text
-        graph._original = (_exact(data), original)
+        graph._original = (_exact(data), text.decode() if isinstance(text, bytes) else text)
         return graph
 
     def to_json(self) -> str:
@@ -150,7 +150,7 @@ class Graph:
     @property
     def name(self) -> str:
         """What messages call the graph: its file name, else its title."""
-        return self.path.name if self.path else self.title or "graph"
+        return printable(self.path.name) if self.path else self.title or "graph"
 
     @property
     def folder(self) -> Path:
@@ -414,6 +414,11 @@ def _umask() -> int:
     mask = os.umask(0o077)
     os.umask(mask)
     return mask
+
+
+def printable(path: str | os.PathLike[str]) -> str:
+    """Return a path as text that can be printed and stored, where its bytes are no UTF-8, too."""
+    return str(path).encode(errors="backslashreplace").decode()
 
 
 def _stamps(network: Network) -> list[tuple[int, int] | None]:

@@ -1,17 +1,22 @@
 """JSON as people write and read it: strict parsing with errors that say where, and one house style for writing.
 
-Strict means: no duplicate names, no NaN or infinities (``1e400`` included), and no nesting deeper than Python can hold.
+Strict means: no duplicate names, no NaN or infinities (``1e400`` included), no half of a surrogate pair, and no nesting
+deeper than any graph needs.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Any, NoReturn
 
 from nodegraph.errors import GraphError
 
 _WIDTH = 110
+_TOO_DEEP = "nested too deeply to read; a graph needs a few levels only"
+_MAX_DEPTH = 100
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 def parse(text: str | bytes, where: str) -> Any:
@@ -37,7 +42,7 @@ def parse(text: str | bytes, where: str) -> Any:
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8-sig")
-        return json.loads(text, parse_constant=refuse, parse_float=number, object_pairs_hook=unique)
+        data = json.loads(text.removeprefix("\ufeff"), parse_constant=refuse, parse_float=number, object_pairs_hook=unique)
     except UnicodeDecodeError as error:
         raise GraphError(f"not UTF-8 text (byte {error.start}); a graph is a JSON file in UTF-8", where) from error
     except json.JSONDecodeError as error:
@@ -45,9 +50,32 @@ def parse(text: str | bytes, where: str) -> Any:
             raise GraphError('the file is empty; a graph starts with {"format": "nodegraph/1", ...}', where) from None
         raise GraphError(f"not JSON: {error.msg.lower()} at line {error.lineno}, column {error.colno}", where) from None
     except RecursionError:
-        raise GraphError("nested too deeply to read; a graph needs a few levels only", where) from None
+        raise GraphError(_TOO_DEEP, where) from None
     except ValueError as error:  # an integer of thousands of digits
         raise GraphError(f"a number is too long to read ({error})", where) from None
+    if _is_deep(data):
+        raise GraphError(_TOO_DEEP, where)
+    if _SURROGATE.search(text) and not _is_text(data):
+        raise GraphError("a text holds half of a surrogate pair (\\ud800 to \\udfff); write the whole character", where)
+    return data
+
+
+def _is_deep(data: Any) -> bool:
+    level = [data] if isinstance(data, (dict, list)) else []
+    for _ in range(_MAX_DEPTH):
+        if not level:
+            return False
+        inner = [item.values() if isinstance(item, dict) else item for item in level]
+        level = [item for items in inner for item in items if isinstance(item, (dict, list))]
+    return True
+
+
+def _is_text(data: Any) -> bool:
+    try:
+        json.dumps(data, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def write(data: Any) -> str:

@@ -120,6 +120,8 @@ def build(graph: Graph, overrides: Mapping[str, Any]) -> Network:
     Raises:
         GraphError: listing every problem, in the order of the file.
     """
+    from nodegraph.graph import printable
+
     builder = _Builder(graph._registry or registry())
     top = builder.open(graph, "", "", overrides, None, ())
     builder.link(top)
@@ -139,7 +141,7 @@ def build(graph: Graph, overrides: Mapping[str, Any]) -> Network:
             consumers[source].append(position)
     outputs = {name: (place[index], output) for name, (index, output) in builder.outputs.items()}
     ids = {step.id: position for position, step in enumerate(steps)}
-    home = str(graph.path.absolute()) if graph.path else f"<{graph.title}>"
+    home = printable(graph.path.absolute()) if graph.path else f"<{graph.title}>"
     return Network(graph.name, home, steps, consumers, ids, outputs, builder.sources)
 
 

@@ -156,8 +156,12 @@ class Node(Generic[P, R]):
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """Run the function itself; a parameter annotated `Context` gets an inert one unless it is given."""
-        if self.context_parameter is not None:
-            kwargs.setdefault(self.context_parameter, Context(type_id=self.id))
+        name = self.context_parameter
+        if name is not None and name not in kwargs:
+            # The same dice as in a run, so that a plain call gives what the engine gives.
+            declared = self.parameters.fields.get("seed")
+            seed = kwargs.get("seed", declared.default if declared is not None else 0)
+            kwargs[name] = Context(type_id=self.id, seed=seed if isinstance(seed, int) else 0)
         return self.function(*args, **kwargs)
 
     def __repr__(self) -> str:
@@ -264,7 +268,8 @@ class Node(Generic[P, R]):
         if self._forecast is not None:
             return self._forecast(*self._arguments({k: list(v) for k, v in inputs.items()}), **params)
         largest = max(given, key=lambda item: item.bytes, default=Forecast(0))
-        return Forecast(largest.bytes * len(self.outputs), largest.bytes, largest.about)
+        count = sum(1 for port in self.outputs if port.type not in (bool, int, float, str))
+        return Forecast(largest.bytes * count, largest.bytes, largest.about)
 
     def run(
         self, inputs: Mapping[str, Sequence[Any]], params: Mapping[str, Any], context: Context, *, twin: bool = False

@@ -54,6 +54,7 @@ class Plan:
         digests: content digests of the outputs once known.
         error: why a step cannot run, found while planning (a missing file).
         device: the OpenCL device that twins run on, or None.
+        device_required: a person chose it, so that what it cannot do fails; else the host does it.
     """
 
     def __init__(
@@ -63,12 +64,14 @@ class Plan:
         targets: Iterable[str] = (),
         *,
         device: Device | None = None,
+        device_required: bool = False,
         force: Iterable[str] = (),
         checked: bool = False,
     ) -> None:
         self.network = network
         self.cache = cache
         self.device = device
+        self.device_required = device_required
         self.checked = checked
         wanted = list(targets)
         self.targets = [network.find(target) for target in wanted] or [(index, 0) for index in network.sinks()]
@@ -239,6 +242,8 @@ class Plan:
             try:
                 forecast = step.node.predict(inputs, step.params)
             except Exception:  # a forecast may fail on what the node itself will report better
+                forecast = None
+            if not isinstance(forecast, Forecast):
                 forecast = Forecast(0)
             record = self.record[index]
             if record is not None:

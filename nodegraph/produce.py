@@ -17,7 +17,7 @@ from xxhash import xxh3_128_digest
 from nodegraph import codec
 from nodegraph.cache.index import Record, load_seconds
 from nodegraph.context import Context
-from nodegraph.errors import Cancelled, NodeError, sentence
+from nodegraph.errors import Cancelled, DeviceError, NodeError, sentence
 from nodegraph.events import Status
 from nodegraph.files import File
 from nodegraph.network import Step
@@ -91,20 +91,32 @@ class Producer:
             return failure
 
     def _compute(self, index: int, sources: Sequence[Values | None], *, handed_on: bool) -> Outcome:
-        step, device = self._plan.network.steps[index], self._plan.device
-        twin = device is not None and step.node.twin is not None
-        inputs = self._inputs(step, sources, twin=twin)
-        context = self._context(step, twin=twin) if twin or step.node.context_parameter is not None else _INERT
+        step, plan = self._plan.network.steps[index], self._plan
+        twin = plan.device is not None and step.node.twin is not None
         started = time.perf_counter()
-        values = step.node.run(inputs, step.params, context, twin=twin)
-        if twin and device is not None:
-            device.finish()
-            if device.unified:
-                values = tuple([to_host(value) for value in values])
+        try:
+            values = self._call(step, sources, twin=twin)
+        except DeviceError as error:
+            if not twin or plan.device_required:
+                raise
+            # The device was nobody's wish, so what it cannot do (too large a raster, a driver's whim) is no failure.
+            log.warning("node '%s' is computed without OpenCL: %s", step.id, error)
+            values = self._call(step, sources, twin=False)
         seconds = time.perf_counter() - started
         if step.files and not self._plan.files_unchanged(index):
             raise ValueError("a file it reads changed while it ran; run again")
         return self._remember(index, values, seconds, handed_on=handed_on)
+
+    def _call(self, step: Step, sources: Sequence[Values | None], *, twin: bool) -> Values:
+        """Run the twin or the host implementation; what a twin gives is finished, and on the host where that is free."""
+        inputs = self._inputs(step, sources, twin=twin)
+        context = self._context(step, twin=twin) if twin or step.node.context_parameter is not None else _INERT
+        values = step.node.run(inputs, step.params, context, twin=twin)
+        if twin and self._plan.device is not None:
+            self._plan.device.finish()
+            if self._plan.device.unified:
+                values = tuple([to_host(value) for value in values])
+        return values
 
     def _inputs(self, step: Step, sources: Sequence[Values | None], *, twin: bool) -> dict[str, list[Any]]:
         device = self._plan.device

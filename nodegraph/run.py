@@ -37,7 +37,8 @@ def plan_graph(
     uses_device = device not in ("auto", "none") or any(step.node.twin is not None for step in network.steps)
     chosen = choose(device) if uses_device else None
     cache = cache if cache is not None else default_cache()
-    return Plan(network, cache, targets, device=chosen, force=force, checked=checked)
+    required = device != "auto"
+    return Plan(network, cache, targets, device=chosen, device_required=required, force=force, checked=checked)
 
 
 def run_graph(
@@ -145,7 +146,8 @@ class Result:
         for error in self.errors:
             if error.node == step.id:
                 raise error
-        plan = Plan(self.plan.network, self.plan.cache, [target], device=self.plan.device)
+        required = self.plan.device_required
+        plan = Plan(self.plan.network, self.plan.cache, [target], device=self.plan.device, device_required=required)
         again = Scheduler(plan, self._scheduler.publisher)
         again.execute(want=index)
         if again.errors:

@@ -84,6 +84,7 @@ class Scheduler:
         self._unresolved = [0] * count
         self.values: list[tuple[Any, ...] | None] = [None] * count
         self._producing = bytearray(count)
+        self._computed = bytearray(count)
         self._loading = bytearray(count)
         self._unloadable = bytearray(count)
         self._missing = [0] * count
@@ -169,7 +170,7 @@ class Scheduler:
     def _conclude(self) -> None:
         for index in self.plan.needed:
             if self._status[index] is None:
-                self._status[index] = "cancelled"
+                self._status[index] = "computed" if self._computed[index] else "cancelled"
 
     # Under the lock: deciding.
 
@@ -233,7 +234,7 @@ class Scheduler:
             if self._producing[current] or self.values[current] is not None:
                 continue
             self._producing[current] = 1
-            if self._status[current] == "cached":
+            if self._status[current] is not None:  # known or computed earlier, but its values are not at hand
                 self._open += 1
                 self._status[current] = None
             self._loading[current] = self._loadable(current)
@@ -400,10 +401,14 @@ class Scheduler:
             if outcome.record is not None:
                 self.plan.record[index] = outcome.record
                 self._seconds[index] = outcome.record.seconds
-            self._settle(index, outcome.status)
+                self._computed[index] = 1
+            self._settle(index, "computed" if self._computed[index] else "cached")
             if new:
                 self.plan.digests[index] = outcome.digests
+                self._holders[index] += 1  # until it is clear what its consumers' consumers demand
                 self._resolve_consumers(index)
+                self._holders[index] -= 1
+                self._let_go(index)
             if outcome.status == "computed" and self._observers:
                 self._outbox.append(Finished(self.node_run(index)))
 

@@ -72,6 +72,7 @@ class Cache:
         self._store: ValueStore | None = None
         self._records: dict[bytes, Record] = {}
         self._pending: list[Record] = []
+        self._histories: dict[str, dict[str, bytes]] = {}
         self._used: set[bytes] = set()
         self._flushed = time.monotonic()
         self._lock = Lock()
@@ -203,7 +204,7 @@ class Cache:
         stable = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _STABLE_NS
         known = self._file_digests.get(path)
         if known is None and self._index is not None and stable:
-            entry = self._index.file(str(path))
+            entry = self._index.file(_text(path))
             if entry is not None:
                 known = (tuple(entry[:-1]), bytes.fromhex(entry[-1]))
         if known is not None and known[0] == stamp and stable:
@@ -216,19 +217,21 @@ class Cache:
         digest = state.digest()
         self._file_digests[path] = (stamp, digest)
         if self._index is not None and stable:
-            self._index.set_file(str(path), [*stamp, digest.hex()])
+            self._index.set_file(_text(path), [*stamp, digest.hex()])
         return digest
 
     # The last run.
 
     def history(self, graph: str) -> dict[str, bytes]:
         """Return the key of each node in the last run of a graph."""
-        return self._index.history(graph) if self._index is not None else {}
+        return self._index.history(graph) if self._index is not None else self._histories.get(graph, {})
 
     def set_history(self, graph: str, keys: Mapping[str, bytes]) -> None:
         """Remember the key of each node of a graph."""
         if self._index is not None:
             self._index.set_history(graph, keys)
+        else:
+            self._histories[graph] = dict(keys)
 
     # Upkeep.
 
@@ -298,6 +301,7 @@ class Cache:
         self._records.clear()
         self._pending.clear()
         self._file_digests.clear()
+        self._histories.clear()
         if self._index is None or self._store is None:
             return 0
         freed = 0
@@ -329,6 +333,10 @@ class Cache:
         if self._index is not None:
             self._index.close()
             self._index = self._store = None
+
+
+def _text(path: Path) -> str:
+    return str(path).encode(errors="backslashreplace").decode()  # a name need not be UTF-8
 
 
 def physical_memory() -> int:
