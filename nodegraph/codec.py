@@ -110,7 +110,7 @@ def decode(encoded: Encoded) -> Any:
         return built[root]
     except UndecodableError:
         raise
-    except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
+    except (IndexError, KeyError, TypeError, ValueError, AttributeError, struct.error, RecursionError) as error:
         raise UndecodableError(f"the encoded value is damaged: {error}") from error
 
 
@@ -188,8 +188,20 @@ def _array_digest(array: Array) -> bytes:
         base.flags.writeable = False
         base = base.base
     contiguous = np.ascontiguousarray(array)
-    content = xxh3_128_digest(contiguous.reshape(-1).view(np.uint8).data) if array.nbytes else b""
+    raw = contiguous.reshape(-1).view(np.uint8) if array.nbytes else np.empty(0, np.uint8)
+    if array.dtype.char in "gG":
+        raw = _without_padding(raw, array.dtype)
+    content = xxh3_128_digest(raw.data) if array.nbytes else b""
     return xxh3_128_digest(f"A{array.dtype.str}{array.shape}".encode() + content)
+
+
+def _without_padding(raw: npt.NDArray[np.uint8], dtype: np.dtype[Any]) -> npt.NDArray[np.uint8]:
+    """Return the bytes of long doubles with those that hold no number set to zero: x86 has 80 bits in 12 or 16 bytes."""
+    if np.finfo(np.longdouble).nmant != 63:
+        return raw
+    numbers = raw.reshape(-1, np.dtype(np.longdouble).itemsize).copy()
+    numbers[:, slice(10, None) if dtype.isnative else slice(None, -10)] = 0
+    return numbers.reshape(-1)
 
 
 def _refuse(item: Any) -> TypeError:

@@ -305,7 +305,9 @@ class Graph:
         from nodegraph.network import build
 
         if overrides:
-            return build(self, overrides)
+            return build(
+                self, {name: _json_value(value, f"{self.name}: '{name}'") for name, value in overrides.items()}
+            )
         state = (self._edits, self.folder, (self._registry or registry()).changes)
         if self._network is None or self._network[0] != (state, _stamps(self._network[1])):
             network = build(self, {})

@@ -42,7 +42,9 @@ def parse(text: str | bytes, where: str) -> Any:
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8-sig")
-        data = json.loads(text.removeprefix("\ufeff"), parse_constant=refuse, parse_float=number, object_pairs_hook=unique)
+        data = json.loads(
+            text.removeprefix("\ufeff"), parse_constant=refuse, parse_float=number, object_pairs_hook=unique
+        )
     except UnicodeDecodeError as error:
         raise GraphError(f"not UTF-8 text (byte {error.start}); a graph is a JSON file in UTF-8", where) from error
     except json.JSONDecodeError as error:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from nodegraph.errors import GraphError, sentence
 from nodegraph.plugins import Migration, Registry
 
 
@@ -19,7 +20,7 @@ def migrate(
     """Return a document with every applicable migration applied, and a line for each change made.
 
     The given document is not modified; it is returned itself when nothing applies.  With `write_versions`, records of
-    known node types get the version of today.
+    known node types get the version of today where that is not 1.
     """
     by_type: dict[str, list[Migration]] = {}
     for migration in registry.migrations():
@@ -34,7 +35,7 @@ def migrate(
     if write_versions:
         for id, record in data["nodes"].items():
             node = registry.find(record["type"])
-            if node is not None and record.get("version") != node.version:
+            if node is not None and (record.get("version") or 0) < node.version:
                 changes.append(f"node '{id}': version {record.get('version', 'none')} -> {node.version}")
                 data["nodes"][id] = _with_version(record, node.version)
     return data, changes
@@ -50,7 +51,7 @@ def _migrate_record(
         waiting = [
             item
             for item in by_type.get(record["type"], ())
-            if id_of(item) not in done and (saved is None or saved < item.version)
+            if id_of(item) not in done and (_is_gone(item, registry) if saved is None else saved < item.version)
         ]
         if not waiting:
             return
@@ -58,7 +59,14 @@ def _migrate_record(
         done.add(id_of(step))
         _apply(data, id, record, step, registry, changes, by_hand=saved is None)
         if saved is not None:
-            saved = record["version"] = step.version
+            record["version"] = step.version
+            # Versions of the new type count from where the old one was renamed.
+            saved = step.version if step.new_type else saved
+
+
+def _is_gone(migration: Migration, registry: Registry) -> bool:
+    """Say whether what a migration renames is no longer there: only then does it concern a record of unknown age."""
+    return not migration.new_type or registry.find(migration.type) is None
 
 
 def id_of(migration: Migration) -> int:
@@ -87,7 +95,9 @@ def _apply(
         # A name that is still valid in a record of unknown age already means what it means today.
         renames = {old: new for old, new in names.items() if not (by_hand and old in valid)}
         entries = record.get(section, {})
-        if hit := {old: new for old, new in renames.items() if old in entries}:
+        if hit := {
+            old: new for old, new in renames.items() if old in entries and (new in renames or new not in entries)
+        }:
             record[section] = {hit.get(name, name): value for name, value in entries.items()}
             changes += [f"node '{id}': {section[:-1]} '{old}' -> '{new}'" for old, new in hit.items()]
         if renames:
@@ -96,8 +106,24 @@ def _apply(
     if outputs:
         _rename_outputs(data, id, outputs, changes)
     if step.change is not None and not by_hand:
-        record["params"] = step.change(copy.deepcopy(record.get("params", {})))
+        record["params"] = _changed(id, step, record.get("params", {}))
         changes.append(f"node '{id}': parameters rewritten for version {step.version}")
+
+
+def _changed(id: str, step: Migration, params: dict[str, Any]) -> dict[str, Any]:
+    assert step.change is not None
+    try:
+        found: Any = step.change(copy.deepcopy(params))
+    except Exception as error:  # whatever a stranger's function may raise
+        raise GraphError(
+            f"the migration of {step.type} to version {step.version} failed ({sentence(error)})", f"node '{id}'"
+        ) from error
+    if not isinstance(found, dict):
+        message = (
+            f"the migration of {step.type} to version {step.version} gave {type(found).__name__}, not the parameters"
+        )
+        raise GraphError(message, f"node '{id}'")
+    return found
 
 
 def _rename_exposed(data: dict[str, Any], id: str, names: dict[str, str], section: str) -> None:

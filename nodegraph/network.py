@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodegraph import porttypes
-from nodegraph.errors import GraphError, Problem, nearest
+from nodegraph.errors import GraphError, PluginError, Problem, nearest
 from nodegraph.files import check_name
 from nodegraph.migrate import migrate
 from nodegraph.nodetypes import InputPort, Node
@@ -26,6 +26,7 @@ from nodegraph.plugins import Registry, registry
 if TYPE_CHECKING:
     from nodegraph.graph import Graph
 
+_UNKNOWN: type = type(None)
 MAX_NESTING = 50
 """How deep graph files may contain each other."""
 
@@ -95,6 +96,9 @@ class Network:
                 names = [item.name for item in step.node.outputs]
                 raise GraphError(f"node '{id}' has no output '{port}'; {nearest(port, names)}", self.name)
             return step.index, position
+        if id in self.outputs:
+            names = [name.partition(".")[2] for name in self.outputs if name.startswith(f"{id}.")]
+            raise GraphError(f"node '{id}' has no output '{port}'; {nearest(port, names)}", self.name)
         names = [*self.ids, *(name for name in self.outputs if "." not in name)]
         raise GraphError(f"no node '{id}'; {nearest(id, names)}", self.name)
 
@@ -128,7 +132,7 @@ def build(graph: Graph, overrides: Mapping[str, Any]) -> Network:
     if not builder.problems:
         builder.convert()
     if builder.problems:
-        raise GraphError(_in_order(builder.problems))
+        raise GraphError(builder.in_order())
     steps = builder.steps
     place = [0] * len(steps)
     for position, step in enumerate(steps):
@@ -143,10 +147,6 @@ def build(graph: Graph, overrides: Mapping[str, Any]) -> Network:
     ids = {step.id: position for position, step in enumerate(steps)}
     home = printable(graph.path.absolute()) if graph.path else f"<{graph.title}>"
     return Network(graph.name, home, steps, consumers, ids, outputs, builder.sources)
-
-
-def _in_order(problems: list[Problem]) -> list[Problem]:
-    return list(dict.fromkeys(problems))
 
 
 @dataclass(slots=True)
@@ -170,10 +170,22 @@ class _Builder:
         self.problems: list[Problem] = []
         self.steps: list[Step] = []
         self.sources: list[Path] = []
+        self.places: dict[str, int] = {}
         self.outputs: dict[str, tuple[int, int]] = {}
 
     def problem(self, where: str, message: str) -> None:
         self.problems.append(Problem(where, message))
+
+    def in_order(self) -> list[Problem]:
+        """Return the problems in the order of the file: those of the whole graph, then node by node."""
+
+        def place(problem: Problem) -> int:
+            where = problem.where
+            while where and where not in self.places:
+                where = where.rpartition(": ")[0]
+            return self.places.get(where, -1)
+
+        return sorted(dict.fromkeys(self.problems), key=place)
 
     # First: every node becomes a step, or a scope of its own.
 
@@ -186,10 +198,14 @@ class _Builder:
         outer: _Scope | None,
         around: tuple[Path, ...],
     ) -> _Scope:
-        data, _ = migrate(graph._data, self.registry)
-        scope = _Scope(
-            graph.name if not outer else f"{outer.name}: node '{own_id}': {graph.name}", prefix, data, outer, own_id
-        )
+        name = graph.name if not outer else f"{outer.name}: node '{own_id}': {graph.name}"
+        data = graph._data
+        try:
+            data, _ = migrate(data, self.registry)
+        except GraphError as error:
+            for item in error.problems:
+                self.problem(f"{name}: {item.where}", item.message)
+        scope = _Scope(name, prefix, data, outer, own_id)
         if graph.path:
             self.sources.append(graph.path.absolute())
         self._requirements(scope)
@@ -199,6 +215,7 @@ class _Builder:
         if not data["nodes"]:
             self.problem(scope.name, "the graph has no nodes; add at least one under 'nodes'")
         for id, record in data["nodes"].items():
+            self.places[f"{scope.name}: node '{id}'"] = len(self.places)
             params = {**record.get("params", {}), **values.get(id, {})}
             if record["type"] == "graph":
                 self._open_subgraph(scope, graph, id, params, around)
@@ -243,6 +260,9 @@ class _Builder:
                 if id not in nodes or not parameter:
                     hint = nearest(id, nodes) if id not in nodes else "write it as 'node.parameter'"
                     self.problem(f"{scope.name}: parameter '{name}'", f"drives '{drive}', which does not exist; {hint}")
+                elif not self._takes(nodes[id], parameter):
+                    hint = nearest(parameter, self._parameter_names(nodes[id]))
+                    self.problem(f"{scope.name}: node '{id}'", f"unknown parameter '{parameter}'; {hint}")
                 elif name in overrides or "default" in entry:
                     values.setdefault(id, {})[parameter] = overrides.get(name, entry.get("default"))
         for name, value in overrides.items():
@@ -260,8 +280,19 @@ class _Builder:
         return values
 
     def _parameter_names(self, record: Mapping[str, Any]) -> Iterable[str]:
-        node = self.registry.find(record["type"])
+        node = self._usable(record)
         return node.parameters.fields if node else ()
+
+    def _takes(self, record: Mapping[str, Any], parameter: str) -> bool:
+        """Say whether a node has a parameter, as far as is known here."""
+        return self._usable(record) is None or parameter in self._parameter_names(record)
+
+    def _usable(self, record: Mapping[str, Any]) -> Node[..., Any] | None:
+        node = self.registry.find(record["type"])
+        try:
+            return node if node is not None and node.parameters else None
+        except PluginError:  # badly declared: the node itself is reported
+            return None
 
     def _exposed_input(self, scope: _Scope, name: str, entry: dict[str, Any]) -> None:
         where = f"{scope.name}: input '{name}'"
@@ -272,8 +303,13 @@ class _Builder:
             self.problem(where, f"unknown port type '{entry['type']}'; {nearest(entry['type'], names)}")
         for feed in entry["feeds"]:
             id, _, port = feed.partition(".")
-            if id not in scope.data["nodes"]:
+            record = scope.data["nodes"].get(id)
+            node = self._usable(record) if record is not None else None
+            if record is None:
                 self.problem(where, f"feeds '{feed}', which does not exist; {nearest(id, scope.data['nodes'])}")
+            elif node is not None and node.input(port) is None:
+                hint = nearest(port, [item.name for item in node.inputs])
+                self.problem(where, f"feeds '{feed}', but node '{id}' has no input '{port}'; {hint}")
             scope.fed[id, port] = name
 
     def _step(self, scope: _Scope, folder: Path, id: str, record: dict[str, Any], params: dict[str, Any]) -> None:
@@ -294,6 +330,10 @@ class _Builder:
             )
         try:
             checked = node.parameters.check(params)
+        except PluginError as error:
+            self.problem(where, str(error))
+            scope.broken.add(id)
+            return
         except ParameterErrors as error:
             for _, message in error.items:
                 self.problem(where, message)
@@ -335,7 +375,11 @@ class _Builder:
         if not isinstance(path, str) or not path:
             self.problem(where, "parameter 'path' is missing: the graph file, relative to this one")
             return
-        file = (graph.folder / _without_tilde(Path(path))).resolve()
+        try:
+            file = (graph.folder / _without_tilde(Path(path))).resolve()
+        except ValueError as error:  # a name that no file can have
+            self.problem(where, f"{path!r} cannot be read ({error})")
+            return
         here = (*around, graph.path.resolve()) if graph.path else around
         if file in here:
             self.problem(where, f"'{path}' contains itself; graph files must not form a circle")
@@ -370,8 +414,7 @@ class _Builder:
             for id, inner in scope.scopes.items():
                 self._check_subgraph_inputs(scope, id, inner, nodes[id].get("inputs", {}))
                 self._publish(inner)
-        if not self.problems:
-            self._order()
+        self._order()
 
     def _link_step(self, scope: _Scope, id: str, step: Step, links: dict[str, Any]) -> None:
         ports = step.node.inputs
@@ -413,7 +456,10 @@ class _Builder:
             if not port.optional and not port.variadic:
                 self.problem(where, f"needs the graph's input '{name}', which nothing feeds")
             return
-        for text in [given] if isinstance(given, str) else given:
+        listed = [given] if isinstance(given, str) else given
+        if len(listed) > 1 and not port.variadic:
+            self.problem(where, f"takes one link, {len(listed)} are given")
+        for text in listed:
             self._add_link(
                 step, port, self._resolve(outer, text, f"{outer.name}: node '{inner.own_id}': input '{wanted}'")
             )
@@ -504,13 +550,24 @@ class _Builder:
             if port is None:
                 continue
             given = by_index[source].types[output]
+            if given is _UNKNOWN:
+                if port.variable:
+                    bound[port.variable] = _UNKNOWN
+                continue
+            fits = porttypes.accepts(port.type, given)
+            conversion = None if fits else self.registry.conversion(given, port.type)
             if port.variable:
-                bound.setdefault(port.variable, given if porttypes.accepts(port.type, given) else port.type)
-            if porttypes.accepts(port.type, given) or self.registry.conversion(given, port.type):
+                bound.setdefault(
+                    port.variable, given if fits else conversion.outputs[0].type if conversion else port.type
+                )
+            if fits or conversion:
                 continue
             origin = f"'{by_index[source].id}.{by_index[source].node.outputs[output].name}'"
             wanted, other = _article(porttypes.describe(port.type)), _article(porttypes.describe(given))
             self.problem(f"{step.where}: input '{name}'", f"takes {wanted}, but {origin} gives {other}")
+        if self.problems:
+            # A generic input that found no source says nothing of the output: no problem may follow from another.
+            bound = {item.variable: _UNKNOWN for item in step.node.outputs if item.variable} | bound
         step.types = tuple([bound.get(item.variable, item.type) for item in step.node.outputs])
 
     def convert(self) -> None:

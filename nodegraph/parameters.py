@@ -142,7 +142,7 @@ class ParameterSet:
             annotation = item.annotation
             for constraint in item.param.constraints():
                 annotation = Annotated[annotation, constraint]
-            default = ... if item.required else item.default
+            default = ... if item.required else _spelt_out(item.default)
             info = pydantic.Field(default, description=item.param.description or None, json_schema_extra=extra or None)
             definitions[item.name] = (annotation, info)
         config = pydantic.ConfigDict(
@@ -231,6 +231,13 @@ class ParameterErrors(ValueError):
     def __init__(self, items: list[tuple[str, str]]) -> None:
         self.items = items
         super().__init__("; ".join(message for _, message in items))
+
+
+def _spelt_out(default: Any) -> Any:
+    """Return a default with its paths as text: defaults are checked as JSON is, which knows no paths."""
+    if type(default) in (list, tuple):
+        return type(default)(map(_spelt_out, default))
+    return str(default) if isinstance(default, Path) else default
 
 
 def _names_only(value: Any) -> Any:

@@ -33,7 +33,7 @@ import pluggy
 
 from nodegraph.errors import PluginError, nearest, sentence
 from nodegraph.nodetypes import Node
-from nodegraph.porttypes import accepts, describe
+from nodegraph.porttypes import accepts, is_port_type
 
 GROUP = "nodegraph"
 hookspec = pluggy.HookspecMarker(GROUP)
@@ -148,13 +148,13 @@ class Registry:
     def load(self, points: Iterable[EntryPoint]) -> None:
         """Load plugins one at a time, in order of name; a failing one warns and stays out."""
         for point in sorted(points, key=lambda item: item.name):
-            plugin = Plugin(point.name, point.dist.version if point.dist else "")
+            plugin = Plugin(point.name, "")
             try:
+                plugin.version = (point.dist.version if point.dist else "") or ""
                 self.add(point.load(), plugin)
-            except Exception as error:  # whatever a stranger's module may raise
-                plugin.error = sentence(error)
-                self.plugins[plugin.name] = plugin
-                self._warn(plugin)
+            except (Exception, SystemExit) as error:  # whatever a stranger's module may raise
+                self.plugins.setdefault(plugin.name, plugin)
+                self._leave_out(plugin, sentence(error))
 
     def add(self, module: ModuleType, plugin: Plugin | None = None) -> Plugin:
         """Add one plugin module.  Raises `PluginError` when its hooks break a rule; then nothing of it is kept."""
@@ -163,15 +163,17 @@ class Registry:
         try:
             self._manager.register(module, plugin.name)
             self._manager.check_pending()
-            families = list(self._call(plugin, "nodegraph_families"))
-            for family in families:
-                if family.name in self._families:
-                    owner = self._families[family.name][0].name
+            families: list[Family] = self._call(plugin, "nodegraph_families", Family)
+            for position, family in enumerate(families):
+                if family.name in self._families or family.name in [item.name for item in families[:position]]:
+                    owner = self._families[family.name][0].name if family.name in self._families else plugin.name
                     raise PluginError(f"family '{family.name}' is already registered by plugin '{owner}'")
                 if not family.name.isidentifier():
                     raise PluginError(f"family '{family.name}' must be an identifier")
-        except (PluginError, pluggy.PluginValidationError) as error:
-            if self._manager.is_registered(module):
+                if isinstance(family.modules, str):
+                    raise PluginError(f"family '{family.name}': modules must be a tuple of names, not a text")
+        except (PluginError, pluggy.PluginValidationError, ValueError) as error:
+            if self._manager.get_plugin(plugin.name) is module:
                 self._manager.unregister(module)
             raise PluginError(f"plugin '{plugin.name}': {sentence(error)}") from error
         plugin.families = families
@@ -196,41 +198,65 @@ class Registry:
             self.changes += 1
         return node
 
-    def _call(self, plugin: Plugin, hook: str) -> list[Any]:
-        """Call one hook of one plugin and return the list it gives (empty where it has none)."""
+    def _call(self, plugin: Plugin, hook: str, kind: type) -> list[Any]:
+        """Call one hook of one plugin and return the list it gives (empty where it has none).
+
+        Raises:
+            PluginError: it fails, or gives something else than a list of `kind`.
+        """
         others = [item for name, item in self._manager.list_name_plugin() if name != plugin.name]
         caller = self._manager.subset_hook_caller(hook, others)
         found: list[Any] = []
-        for items in caller():
-            if not isinstance(items, Iterable):
-                raise PluginError(f"{hook} must return a list, not {type(items).__name__}")
-            found.extend(items)
+        try:
+            for items in caller():
+                found.extend(items)
+        except Exception as error:  # whatever a stranger's hook may raise
+            raise PluginError(f"{hook} failed ({sentence(error)})") from error
+        for item in found:
+            if not isinstance(item, kind):
+                raise PluginError(f"{hook} must list {kind.__name__} objects, not {item!r}")
         return found
 
-    def _warn(self, plugin: Plugin) -> None:
+    def _leave_out(self, plugin: Plugin, error: str) -> None:
+        plugin.error = error
         version = f" {plugin.version}" if plugin.version else ""
         warnings.warn(f"plugin '{plugin.name}'{version} is left out: {plugin.error}", RuntimeWarning, stacklevel=3)
 
     def _activate(self, plugin: Plugin) -> None:
+        """Take up what a plugin brings beside its nodes; where that fails, the plugin is left out."""
         if plugin.activated or plugin.error:
             return
         plugin.activated = True
-        for cls in self._call(plugin, "nodegraph_port_types"):
-            if describe(cls) == "" or not isinstance(cls, type):
-                raise PluginError(f"plugin '{plugin.name}': {cls!r} is no port type; declare it with @port_type")
-        self._conversions.extend(self._call(plugin, "nodegraph_conversions"))
-        for node in self._conversions:
+        try:
+            for cls in self._call(plugin, "nodegraph_port_types", type):
+                if not is_port_type(cls):
+                    raise PluginError(f"{cls.__name__} is no port type; declare it with @port_type")
+            conversions: list[Node[..., Any]] = self._call(plugin, "nodegraph_conversions", Node)
+            for node in conversions:
+                required = [field.name for field in node.parameters.fields.values() if field.required]
+                if len(node.inputs) != 1 or len(node.outputs) != 1 or required:
+                    raise PluginError(
+                        f"conversion '{node.name}' must have one input, one output and no required parameter"
+                    )
+            previews = self._call(plugin, "nodegraph_previews", Preview)
+        except PluginError as error:
+            self._leave_out(plugin, str(error))
+            return
+        for node in conversions:
             if node.family == "local":
                 node.family = plugin.families[0].name if plugin.families else plugin.name
-        self._previews.extend(self._call(plugin, "nodegraph_previews"))
+        self._conversions.extend(conversions)
+        self._previews.extend(previews)
 
     def _load_family(self, name: str) -> None:
         if name in self._loaded_families or name not in self._families:
             return
         self._loaded_families.add(name)
         plugin, family = self._families[name]
+        self._activate(plugin)
+        if plugin.error:
+            return
         try:
-            self._activate(plugin)
             nodes = [*family.nodes]
             for module_name in family.modules:
                 module = importlib.import_module(module_name)
@@ -240,9 +266,8 @@ class Registry:
                     raise PluginError(f"node '{node.name}' is already in family '{node.family}'")
                 node.family = name
                 self.register(node, name)
-        except Exception as error:  # a stranger's module may raise anything
-            plugin.error = f"family '{name}': {sentence(error)}"
-            self._warn(plugin)
+        except (Exception, SystemExit) as error:  # a stranger's module may raise anything
+            self._leave_out(plugin, f"family '{name}': {sentence(error)}")
 
     def activate_all(self) -> None:
         """Import every family of every plugin."""
@@ -271,19 +296,21 @@ class Registry:
         family = type_id.partition(".")[0]
         if family in self._families:
             plugin = self._families[family][0]
+            self._load_family(family)
             if plugin.error:
                 return f"unknown node type '{type_id}': plugin '{plugin.name}' is left out ({plugin.error})"
-            self._load_family(family)
-            names = [key for key in self._nodes if key.startswith(f"{family}.")]
+        if names := [key for key in self._nodes if key.startswith(f"{family}.")]:
             return f"unknown node type '{type_id}'; {nearest(type_id, names)}"
         for plugin in self.plugins.values():
-            if plugin.error and family in plugin.name:
+            if plugin.error and family and family in plugin.name:
                 return f"unknown node type '{type_id}': plugin '{plugin.name}' is left out ({plugin.error})"
-        close = nearest(family, self._families)
+        close = nearest(family, {*self._families, *(key.partition(".")[0] for key in self._nodes)})
         return f"unknown node type '{type_id}': install the plugin that brings the family '{family}' ({close})"
 
     def conversion(self, source: type, target: type) -> Node[..., Any] | None:
         """Return the registered node that turns `source` into `target`, or None."""
+        for plugin in self.plugins.values():
+            self._activate(plugin)
         for node in self._conversions:
             if accepts(node.inputs[0].type, source) and accepts(target, node.outputs[0].type):
                 return node
@@ -300,7 +327,10 @@ class Registry:
         found: list[Migration] = []
         for plugin in self.plugins.values():
             if not plugin.error:
-                found += self._call(plugin, "nodegraph_migrations")
+                try:
+                    found += self._call(plugin, "nodegraph_migrations", Migration)
+                except PluginError as error:
+                    self._leave_out(plugin, str(error))
         return found
 
     def owner(self, type_id: str) -> Plugin | None:

@@ -175,9 +175,9 @@ class Producer:
         files = files_of(values) if any(issubclass(kind, File) for kind in step.types) else ()
         shapes = tuple([shape_text(value) for value in values])
         record = Record(key, digests, sizes, seconds, restore, files, plan.recipe(index), held, shapes)
-        outcome = self._publish(index, Outcome("computed", values, digests, record), record)
+        # Kept first: where the files cannot be written, the result is not lost, and the next run only writes them.
         plan.cache.keep(record, host if host is not None else (None,) * len(values))
-        return outcome
+        return self._publish(index, Outcome("computed", values, digests, record), record)
 
     def _cost_of_inputs(self, step: Step) -> float:
         """Return what having the inputs again would take where they are not stored, s.

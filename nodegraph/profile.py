@@ -76,9 +76,9 @@ class Profile:
         """Return the trace as JSON data.  Waits for kernels that still run."""
         self._timing.close()
         slices = self._slices()
+        workers = sorted({item["tid"] for item in slices})
         named = [_metadata("process_name", 0, f"nodegraph {self._graph}")]
-        for worker in sorted({item["tid"] for item in slices}):
-            named.append(_metadata("thread_name", worker, f"worker {worker}" if worker else "not started"))
+        named += [_metadata("thread_name", item, f"worker {item}" if item else "not started") for item in workers]
         other: dict[str, Any] = {"graph": self._graph, "nodegraph": __version__}
         if self._timings is not None:
             other["kernels"] = [

@@ -21,6 +21,16 @@ def files_of(values: Iterable[object]) -> tuple[Made, ...]:
     return tuple([(item.name, item.content.nbytes, xxh3_128_digest(item.content.data).hex()) for item in found])
 
 
+def _write(path: Path, content: bytes) -> None:
+    try:
+        write_atomically(path, content)
+    except OSError as error:
+        if error.filename is not None and not str(error.filename).endswith(".part"):
+            raise
+        # It names the temporary file or none at all: neither tells which file it is about.
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
 class Publisher:
     """Publishes files below one folder and keeps account of them.
 
@@ -69,7 +79,7 @@ class Publisher:
                 path = self.folder / item.name
                 made = (item.name, item.content.nbytes, xxh3_128_digest(item.content.data).hex())
                 if self.stale([made]):
-                    write_atomically(path, item.content.tobytes())
+                    _write(path, item.content.tobytes())
                     self.written.append(path)
                 else:
                     self.kept.append(path)

@@ -134,11 +134,11 @@ class Cache:
 
     def has(self, digest: bytes) -> bool:
         """Say whether a value can be had without computing it."""
-        return digest in self.memory or (self._store is not None and self._store.path(digest).exists())
+        return digest in self.memory or self.stored(digest)
 
     def stored(self, digest: bytes) -> bool:
         """Say whether a value is on disk."""
-        return self._store is not None and self._store.path(digest).exists()
+        return self._store is not None and digest in self._store
 
     def value(self, digest: bytes) -> Any | None:
         """Return a value from memory or disk, or None; a damaged file is removed with a warning."""
@@ -164,15 +164,17 @@ class Cache:
         return value
 
     def _write_value(self, digest: bytes, value: Any, seconds: float) -> None:
-        if self._store is None or self._index is None or self._store.path(digest).exists():
+        if self._store is None or self._index is None or not self._index.writable or digest in self._store:
             return
         try:
             size = self._store.write(digest, value)
         except OSError as error:
-            self._storing = False
-            log.warning(
-                "values cannot be stored in the cache (%s); they are kept in memory only", error.strerror or error
-            )
+            with self._lock:
+                first, self._storing = self._storing, False
+            self._index.complains = False
+            if first:
+                why = error.strerror or error
+                log.warning("values cannot be stored in the cache (%s); they are kept in memory only", why)
             return
         self._index.add_stored(digest, size, seconds)
         self._size += size
@@ -204,9 +206,7 @@ class Cache:
         stable = time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _STABLE_NS
         known = self._file_digests.get(path)
         if known is None and self._index is not None and stable:
-            entry = self._index.file(_text(path))
-            if entry is not None:
-                known = (tuple(entry[:-1]), bytes.fromhex(entry[-1]))
+            known = self._index.file(_text(path))
         if known is not None and known[0] == stamp and stable:
             self._file_digests[path] = known
             return known[1]
@@ -217,7 +217,7 @@ class Cache:
         digest = state.digest()
         self._file_digests[path] = (stamp, digest)
         if self._index is not None and stable:
-            self._index.set_file(_text(path), [*stamp, digest.hex()])
+            self._index.set_file(_text(path), stamp, digest)
         return digest
 
     # The last run.

@@ -40,13 +40,22 @@ CREATE TABLE IF NOT EXISTS state (name TEXT PRIMARY KEY, value REAL NOT NULL);
 _DAMAGED = {
     sqlite3.SQLITE_CORRUPT,
     sqlite3.SQLITE_NOTADB,
-    sqlite3.SQLITE_IOERR,
     sqlite3.SQLITE_ERROR,
     sqlite3.SQLITE_SCHEMA,
 }
+# Of the failures of the disk only these speak of what is stored; a full disk or a quota fails in writing, and what is
+# there stays good.
+_DAMAGED_IO = {sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_CORRUPTFS}
 _to_json = json.JSONEncoder(separators=(",", ":")).encode
 _MISSES_PER_LOOK, _KEYS_PER_MISS = 32, 30
 _TABLES = ("results", "histories", "files")
+_REFUSED = (sqlite3.DatabaseError, UnicodeDecodeError)
+"""What SQLite raises.  Where a damaged schema is no text, quoting it in a message fails."""
+_ODD = (ValueError, TypeError, ArithmeticError, LookupError, AttributeError, MemoryError)
+"""What an entry raises that holds something else than it should."""
+_SOUND = """typeof(digest) = 'blob' AND typeof(size) = 'integer' AND size BETWEEN 0 AND 1000000000000000
+    AND typeof(priority) = 'real' AND abs(priority) < 1e12"""
+"""Rows of `stored` that can be true: that table has no checksums, as it decides only what leaves first."""
 
 
 _FIXED_SECONDS = 10e-3
@@ -150,6 +159,10 @@ class Index:
     Reading never fails: what cannot be read is absent.  Writing fails quietly after one warning (a full disk), and the
     index then only reads.
 
+    Attributes:
+        writable: False after writing failed.
+        complains: give that one warning; False where the same was said already.
+
     Raises:
         OSError: the folder cannot be created or written to.
     """
@@ -157,14 +170,15 @@ class Index:
     def __init__(self, folder: Path) -> None:
         self._path = folder / "index.sqlite"
         self._lock = RLock()
-        self._writable = True
+        self.writable = True
+        self.complains = True
         self._keys: set[bytes] | None = None
         self._misses = 0
         folder.mkdir(parents=True, exist_ok=True)
         try:
             self._connection = self._open()
-        except sqlite3.DatabaseError as error:
-            if _code(error) not in _DAMAGED:
+        except _REFUSED as error:
+            if not _is_damage(error):
                 raise OSError(f"the cache index cannot be opened ({error})") from error
             self._set_aside(error)
 
@@ -190,36 +204,39 @@ class Index:
         with self._lock:
             try:
                 return work(self._connection)
-            except sqlite3.DatabaseError as error:
+            except _REFUSED as error:
                 self._failed(error)
-            except (ValueError, TypeError) as error:
+            except _ODD as error:
                 log.warning("a cache entry cannot be read (%s); it is computed again", error)
             return absent
 
     def _write(self, work: Callable[[sqlite3.Connection], None]) -> None:
         with self._lock:
-            if not self._writable:
+            if not self.writable:
                 return
             try:
                 self._connection.execute("BEGIN IMMEDIATE")
                 work(self._connection)
                 self._connection.execute("COMMIT")
-            except sqlite3.DatabaseError as error:
-                with contextlib.suppress(sqlite3.DatabaseError):
+            except (*_REFUSED, *_ODD) as error:
+                with contextlib.suppress(*_REFUSED):
                     self._connection.execute("ROLLBACK")
-                self._failed(error)
+                if isinstance(error, _REFUSED):
+                    self._failed(error)
+                else:
+                    log.warning("a cache entry cannot be written (%s); it is not remembered", error)
 
-    def _failed(self, error: sqlite3.DatabaseError) -> None:
-        code = _code(error)
-        if code in _DAMAGED:
+    def _failed(self, error: Exception) -> None:
+        if _is_damage(error):
             self._set_aside(error)
-        elif code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        elif _code(error) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             log.warning("the cache index is busy with another process; this result is not remembered")
-        elif self._writable:
-            self._writable = False
-            log.warning("the cache index cannot be written (%s); results are not remembered", error)
+        elif self.writable:
+            self.writable = False
+            if self.complains:
+                log.warning("the cache index cannot be written (%s); results are not remembered", error)
 
-    def _set_aside(self, error: sqlite3.DatabaseError) -> None:
+    def _set_aside(self, error: Exception) -> None:
         """Begin anew after damage, unless another process has done so already."""
         with self._lock:
             with contextlib.suppress(sqlite3.Error, AttributeError):
@@ -233,23 +250,27 @@ class Index:
                 pass
             try:
                 self._connection = self._open()
-            except (sqlite3.DatabaseError, OSError) as again:
+            except (*_REFUSED, OSError) as again:
                 log.warning("the cache index cannot be begun anew (%s); results are not remembered", again)
-                self._writable = False
+                self.writable = False
                 self._connection = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
                 self._connection.executescript(_SCHEMA)
 
     # Rows with a checksum.
 
-    def _get(self, table: str, column: str, name: Any) -> bytes | None:
-        def work(connection: sqlite3.Connection) -> bytes | None:
+    def _get(self, table: str, column: str, name: Any, parse: Callable[[bytes], T]) -> T | None:
+        def work(connection: sqlite3.Connection) -> T | None:
             row = connection.execute(f"SELECT body, sum FROM {table} WHERE {column} = ?", (name,)).fetchone()
             if row is None:
                 return None
             if row[1] != _sum(name, row[0]):
                 log.warning("an entry of the cache index is damaged; it is computed again")
                 return None
-            return bytes(row[0])
+            try:
+                return parse(row[0])
+            except _ODD as error:
+                log.warning("an entry of the cache index cannot be read (%s); it is computed again", error)
+                return None
 
         return self._read(work, None)
 
@@ -262,9 +283,9 @@ class Index:
         """
         if self._keys is not None and key not in self._keys:
             return None
-        body = self._get("results", "key", key)
-        if body is not None:
-            return Record.parse(key, body)
+        record = self._get("results", "key", key, lambda body: Record.parse(key, body))
+        if record is not None:
+            return record
         self._misses += 1
         if self._keys is None and self._misses % _MISSES_PER_LOOK == 0:
             query = "SELECT COUNT(*) FROM results"
@@ -283,8 +304,11 @@ class Index:
 
     def history(self, graph: str) -> dict[str, bytes]:
         """Return the key of each node in the graph's last run."""
-        body = self._get("histories", "graph", graph)
-        return {id: bytes.fromhex(key) for id, key in json.loads(body).items()} if body else {}
+
+        def parse(body: bytes) -> dict[str, bytes]:
+            return {id: bytes.fromhex(key) for id, key in json.loads(body).items()}
+
+        return self._get("histories", "graph", graph, parse) or {}
 
     def set_history(self, graph: str, keys: Mapping[str, bytes]) -> None:
         """Remember the key of each node of a graph."""
@@ -292,14 +316,18 @@ class Index:
         row = (graph, body, _sum(graph, body))
         self._write(lambda connection: _many(connection, "INSERT OR REPLACE INTO histories VALUES (?, ?, ?)", [row]))
 
-    def file(self, path: str) -> list[Any] | None:
-        """Return [size, times of change in ns, inode, digest hex] of a file as last read, or None."""
-        body = self._get("files", "path", path)
-        return json.loads(body) if body else None
+    def file(self, path: str) -> tuple[tuple[int, ...], bytes] | None:
+        """Return size, times of change in ns and inode of a file as last read, and its digest, or None."""
 
-    def set_file(self, path: str, entry: list[Any]) -> None:
+        def parse(body: bytes) -> tuple[tuple[int, ...], bytes]:
+            *stamp, digest = json.loads(body)
+            return tuple(map(int, stamp)), bytes.fromhex(digest)
+
+        return self._get("files", "path", path, parse)
+
+    def set_file(self, path: str, stamp: tuple[int, ...], digest: bytes) -> None:
         """Remember what a file held."""
-        body = json.dumps(entry).encode()
+        body = json.dumps([*stamp, digest.hex()]).encode()
         row = (path, body, _sum(path, body))
         self._write(lambda connection: _many(connection, "INSERT OR REPLACE INTO files VALUES (?, ?, ?)", [row]))
 
@@ -337,16 +365,17 @@ class Index:
 
     def stored(self) -> list[tuple[bytes, int, float]]:
         """Return (digest, size, priority) of all values on disk, lowest priority first."""
-        query = "SELECT digest, size, priority FROM stored ORDER BY priority, digest"
+        query = f"SELECT digest, size, priority FROM stored WHERE {_SOUND} ORDER BY priority, digest"
         return self._read(lambda connection: [tuple(row) for row in connection.execute(query)], [])
 
     def stored_bytes(self) -> int:
         """Return the bytes of all values on disk, as far as the index knows."""
-        query = "SELECT COALESCE(SUM(size), 0) FROM stored"
+        query = f"SELECT COALESCE(SUM(size), 0) FROM stored WHERE {_SOUND}"
         return self._read(lambda connection: int(connection.execute(query).fetchone()[0]), 0)
 
     def _floor(self, connection: sqlite3.Connection) -> float:
-        row = connection.execute("SELECT value FROM state WHERE name = 'floor'").fetchone()
+        query = "SELECT value FROM state WHERE name = 'floor' AND typeof(value) = 'real' AND abs(value) < 1e12"
+        row = connection.execute(query).fetchone()
         return float(row[0]) if row else 0.0
 
     # The whole.
@@ -394,10 +423,20 @@ def _first_column(connection: sqlite3.Connection, query: str) -> set[bytes] | No
     return {bytes(row[0]) for row in connection.execute(query)}
 
 
-def _sum(name: Any, body: bytes) -> bytes:
-    return xxh3_64_digest((name if isinstance(name, bytes) else str(name).encode()) + b"\0" + bytes(body))
+def _sum(name: Any, body: Any) -> bytes:
+    if not isinstance(body, bytes):  # a damaged row may hold anything
+        return b""
+    return xxh3_64_digest((name if isinstance(name, bytes) else str(name).encode()) + b"\0" + body)
 
 
-def _code(error: sqlite3.Error) -> int:
+def _is_damage(error: Exception) -> bool:
+    return (
+        isinstance(error, UnicodeDecodeError)
+        or _code(error) in _DAMAGED
+        or getattr(error, "sqlite_errorcode", 0) in _DAMAGED_IO
+    )
+
+
+def _code(error: Exception) -> int:
     # Extended codes hold the primary one in their low byte.
     return getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF

@@ -10,6 +10,7 @@ Files are written beside their place and renamed into it: a reader sees all of o
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import tempfile
@@ -44,6 +45,10 @@ class ValueStore:
         name = digest.hex()
         return self.folder / name[:2] / f"{name}.h5"
 
+    def __contains__(self, digest: bytes) -> bool:
+        # Not `Path.exists`: that raises where a folder may not be entered, and such a value is not there for us.
+        return os.path.exists(self.path(digest))  # noqa: PTH110
+
     def write(self, digest: bytes, value: Any) -> int:
         """Store a value under its digest and return the file's size in bytes.
 
@@ -53,15 +58,21 @@ class ValueStore:
         target = self.path(digest)
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".part")
-        os.close(handle)
         aside = Path(name)
         try:
-            _write_hdf5(aside, codec.encode(value))
-            size = aside.stat().st_size
-            with aside.open("r+b") as file:
+            with _Patient(handle) as file:
+                try:
+                    _write_hdf5(file, codec.encode(value))
+                except (RuntimeError, ValueError, KeyError) as error:  # HDF5 reads back what could not be written
+                    raise file.error or OSError(str(error)) from error
+                if file.error is not None:
+                    raise file.error
                 checksum = _checksum(file)
+                size = file.tell()
                 file.seek(0)
                 file.write(_header(digest, checksum))
+                if file.error is not None:
+                    raise file.error
             aside.replace(target)
         except BaseException:
             aside.unlink(missing_ok=True)
@@ -128,11 +139,36 @@ def _checksum(file: Any) -> bytes:
     return state.digest()
 
 
-def _write_hdf5(path: Path, encoded: codec.Encoded) -> None:
+class _Patient(io.FileIO):
+    """A new file that notes a failing write and goes on: HDF5 cannot close a file whose end it cannot write."""
+
+    def __init__(self, handle: int) -> None:
+        super().__init__(handle, "r+b")
+        self.error: OSError | None = None
+
+    def write(self, data: Any, /) -> int:
+        view = memoryview(data).cast("B")
+        done = 0
+        try:
+            while done < len(view):
+                done += super().write(view[done:]) or 0
+        except OSError as error:
+            self.error = self.error or error
+        return len(view)
+
+    def truncate(self, size: int | None = None, /) -> int:
+        try:
+            return super().truncate(size)
+        except OSError as error:
+            self.error = self.error or error
+            return size or 0
+
+
+def _write_hdf5(target: _Patient, encoded: codec.Encoded) -> None:
     import h5py
 
     packed, layout = bytearray(), []
-    with h5py.File(path, "w", userblock_size=_BLOCK, libver="latest", track_order=False) as file:
+    with h5py.File(target, "w", userblock_size=_BLOCK, libver="latest", track_order=False) as file:
         large = file.create_group("arrays")
         for position, array in enumerate(encoded.arrays):
             entry: dict[str, Any] = {"dtype": array.dtype.str, "shape": array.shape}

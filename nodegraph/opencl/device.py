@@ -121,19 +121,22 @@ class Device:
         """How often the compiler was called."""
         return self._programs.builds
 
-    def program(self, path: Path, *, include: Sequence[Path] = (), **defines: Define) -> Program:
+    def program(
+        self, path: Path, *, include: Sequence[Path] = (), before: Sequence[Path] = (), **defines: Define
+    ) -> Program:
         """Return the program of a ``.cl`` file, compiled at most once per process for each contents and defines.
 
         Args:
             path: the kernel file; its ``#include "x"`` are looked up next to the including file, then in `include`.
             include: more folders with headers.
+            before: files that stand before it in the same program, such as functions that it calls by name.
             defines: preprocessor definitions.  A float becomes a float literal (``0.5f``), a bool 0 or 1, a str stands
                 as it is.
 
         Raises:
             DeviceError: a file cannot be read or compiled; the message says file, line and the compiler's first error.
         """
-        return self._programs.get(path, include, defines)
+        return self._programs.get(path, include, defines, before)
 
     def run(
         self,

@@ -110,21 +110,23 @@ class Programs:
         self._context = context
         self._device = device
         self._lock = threading.Lock()
-        self._sources: dict[tuple[str, tuple[Path, ...]], _Source] = {}
+        self._sources: dict[tuple[tuple[str, ...], tuple[Path, ...]], _Source] = {}
         self._programs: dict[tuple[bytes, str], Program] = {}
 
-    def get(self, path: Path, include: Sequence[Path], defines: Mapping[str, Define]) -> Program:
-        """Return the program of a kernel file, compiled where neither it nor a header of it is known as it is now.
+    def get(
+        self, path: Path, include: Sequence[Path], defines: Mapping[str, Define], before: Sequence[Path] = ()
+    ) -> Program:
+        """Return the program of a kernel file led by those `before` it, compiled where neither it nor a header of it is known as it is now.
 
         Costs a look at the time stamp of each file when it is known.
 
         Raises:
             DeviceError: a file cannot be read, a define makes no sense, or the compiler refuses the source.
         """
-        place = (os.fspath(path), tuple(include))
+        place = (tuple([os.fspath(item) for item in (*before, path)]), tuple(include))
         source = self._sources.get(place)
         if source is None or not source.is_current():
-            source = self._sources[place] = _read(Path(path), place[1])
+            source = self._sources[place] = _read([Path(item) for item in place[0]], place[1])
         head = _define_lines(defines)
         key = (source.digest, head)
         found = self._programs.get(key)
@@ -161,7 +163,7 @@ def source_files(path: Path, include: Sequence[Path] = ()) -> tuple[Path, ...]:
     Raises:
         DeviceError: a file cannot be read.
     """
-    return tuple([Path(item) for item, _, _ in _read(Path(path), tuple(include)).stamps])
+    return tuple([Path(item) for item, _, _ in _read([Path(path)], tuple(include)).stamps])
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +181,9 @@ class _Source:
         return self.settled and all(_stamp(known[0]) == known for known in self.stamps)
 
 
-def _read(path: Path, include: tuple[Path, ...]) -> _Source:
+def _read(paths: Sequence[Path], include: tuple[Path, ...]) -> _Source:
     stamps: dict[Path, tuple[str, int, int]] = {}
-    text = "\n".join(_expand(path, include, stamps, ())) + "\n"
+    text = "\n".join([line for path in paths for line in _expand(path, include, stamps, ())]) + "\n"
     newest = max(changed for _, changed, _ in stamps.values())
     settled = time.time() - 1e-9 * newest > _SETTLED
     return _Source(text, xxhash.xxh3_128_digest(text.encode()), tuple(stamps.values()), settled)

@@ -15,9 +15,10 @@ A node without examples fails, so that none is forgotten.  `check_node` runs all
 
 from __future__ import annotations
 
-from nodegraph.testing.contract import CHECKS, Example, check_node, checks_for
+from nodegraph.testing.calls import Example, NotCheckedError
+from nodegraph.testing.contract import CHECKS, check_node, checks_for
 
-__all__ = ["CHECKS", "Example", "check_node", "checks_for", "parametrize_with_checks"]
+__all__ = ["CHECKS", "Example", "NotCheckedError", "check_node", "checks_for", "parametrize_with_checks"]
 
 
 def __getattr__(name: str) -> object:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from nodegraph.testing.contract import Example
+    from nodegraph.testing.calls import Example
 
 Check = Callable[[], None]
 
@@ -19,29 +19,46 @@ def parametrize_with_checks(
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Parametrise a test function's argument ``check`` over every promise of every node of a family.
 
+    A broken promise fails one test; those of the same node that build on it are skipped and say so.
+
     Args:
         family: of the registered nodes; a family without nodes is an error.
         examples: by type id; a node that is missing here fails, and so does an entry without a node.
     """
+    from nodegraph.errors import nearest
     from nodegraph.plugins import registry
     from nodegraph.testing.contract import checks_for
 
-    nodes = [node for node in registry().nodes() if node.family == family]
+    every = registry().nodes()
+    nodes = [node for node in every if node.family == family]
     if not nodes:
-        raise pytest.UsageError(f"no node of family '{family}' is registered; is its plugin installed?")
+        hint = nearest(family, {node.family for node in every})
+        raise pytest.UsageError(f"no node of family '{family}' is registered; is its plugin installed? ({hint})")
     cases = [
-        pytest.param(check, id=f"{node.id}-{name}")
+        pytest.param(_skipping(check), id=f"{node.id}-{name}")
         for node in nodes
         for name, check in checks_for(node, examples.get(node.id, ()))
     ]
     strays = sorted(set(examples) - {node.id for node in nodes})
-    cases += [pytest.param(_no_such_node(stray), id=f"{stray}-exists") for stray in strays]
+    cases += [pytest.param(_no_such_node(stray, family), id=f"{stray}-exists") for stray in strays]
     return pytest.mark.parametrize("check", cases)
 
 
-def _no_such_node(type_id: str) -> Check:
+def _skipping(check: Check) -> Check:
+    from nodegraph.testing.calls import NotCheckedError
+
+    def run() -> None:
+        try:
+            check()
+        except NotCheckedError as unchecked:
+            pytest.skip(str(unchecked))
+
+    return run
+
+
+def _no_such_node(type_id: str, family: str) -> Check:
     def check() -> None:
-        raise AssertionError(f"there are examples for '{type_id}', but no such node")
+        raise AssertionError(f"there are examples for '{type_id}', but the family '{family}' has no such node")
 
     return check
 
