@@ -35,7 +35,7 @@ def migrate(
     if write_versions:
         for id, record in data["nodes"].items():
             node = registry.find(record["type"])
-            if node is not None and (record.get("version") or 0) < node.version:
+            if node is not None and (record.get("version") or 1) < node.version:  # version 1 goes without saying
                 changes.append(f"node '{id}': version {record.get('version', 'none')} -> {node.version}")
                 data["nodes"][id] = _with_version(record, node.version)
     return data, changes

@@ -42,7 +42,7 @@ def nodes(
         raise GraphError(f"no node type '{name}', and none that speaks of it; {nearest(name or '', known)}")
     if as_json:
         here.console.say(json.dumps([nodehelp.as_data(node) for node in found], indent=1, ensure_ascii=False))
-    elif name in known:
+    elif name is not None and len(found) == 1:
         here.console.say_all(nodehelp.as_text(found[0]))
     else:
         here.console.table([(node.id, node.summary) for node in found])

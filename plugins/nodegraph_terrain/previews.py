@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from nodegraph import Preview
 from nodegraph_terrain.raster import Elevation, Grid, Image, Labels, Mask, Raster, Shade, Slope
+from nodegraph_terrain.statistics import Histogram
 
 LONG_SIDE = 1024
 """Most pixels along a side of a preview."""
@@ -56,6 +57,24 @@ def preview_labels(labels: Labels) -> bytes:
     return _png(np.concatenate([colours, alpha[..., None]], axis=-1).astype(np.uint8))
 
 
+def preview_histogram(histogram: Histogram) -> bytes:
+    """Show the counts as bars over the edges, with the unit."""
+    from io import BytesIO
+
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7, 4), dpi=120, layout="constrained")
+    axes = figure.add_subplot()
+    axes.stairs(histogram.counts, histogram.edges, fill=True, color="#3b6f8f")
+    axes.set_ylabel("cells")
+    axes.set_xlabel(histogram.unit)
+    axes.spines[["top", "right"]].set_visible(False)
+    buffer = BytesIO()
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    return buffer.getvalue()
+
+
 def preview_image(image: Image) -> bytes:
     """Show the picture, made smaller where it is large."""
     rows, cols = _size(image)
@@ -79,6 +98,7 @@ PREVIEWS: tuple[Preview, ...] = (
     Preview(Raster, preview_raster),
     Preview(Labels, preview_labels),
     Preview(Image, preview_image),
+    Preview(Histogram, preview_histogram),
 )
 """How the grid types are drawn; a type without an entry takes that of its nearest base."""
 

@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
-from nodegraph_terrain.previews import PREVIEWS, preview_elevation, preview_image, preview_labels, preview_unit
+from nodegraph_terrain.previews import (
+    PREVIEWS,
+    preview_elevation,
+    preview_histogram,
+    preview_image,
+    preview_labels,
+    preview_unit,
+)
 from nodegraph_terrain.raster import GRIDS, Elevation, Extent, Grid, Image, Labels, Mask, Raster, Shade, Slope
 from nodegraph_terrain.sample_dem import sample_dem
+from nodegraph_terrain.statistics import Histogram
 
 
 def pixels(png: bytes) -> np.ndarray:
@@ -87,3 +95,14 @@ def test_images_stay_as_they_are_or_are_averaged() -> None:
     small = pixels(preview_image(large))
     assert small.shape == (1024, 1024, 4)
     assert np.abs(small.astype(int) - [10, 20, 30, 128]).max() <= 1
+
+
+def test_a_histogram_is_drawn_as_bars_of_its_counts() -> None:
+    def ink(counts: list[int]) -> float:
+        histogram = Histogram(np.array([0.0, 10.0, 20.0]), np.array(counts, np.int64), "m")
+        picture = pixels(preview_histogram(histogram))[..., :3].astype(int)
+        return float((np.abs(picture - (0x3B, 0x6F, 0x8F)).sum(axis=2) < 12).mean())
+
+    full, half = ink([4, 4]), ink([4, 0])
+    assert full > 0.4
+    assert half == pytest.approx(full / 2, rel=0.05)
