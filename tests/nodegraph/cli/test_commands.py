@@ -107,8 +107,8 @@ def test_nodes(cli):
     listed = [line.split()[0] for line in lines(done.out)]
     assert "acme.number" in listed
     assert listed == sorted(listed)
-    assert lines(cli("nodes", "multiply").out) == ["acme.scale  Multiply a number."]
-    assert lines(cli("nodes", "SCALE UP").out) == ["acme.scale  Multiply a number."]
+    assert len(lines(cli("nodes", "number").out)) > 1
+    assert cli("nodes", "multiply").out == cli("nodes", "SCALE UP").out == cli("nodes", "acme.scale").out
     done = cli("nodes", "acme.nmber")
     assert done.status == 2
     assert "did you mean 'acme.number'?" in done.err
