@@ -196,7 +196,7 @@ def _array_digest(array: Array) -> bytes:
 
 
 def _without_padding(raw: npt.NDArray[np.uint8], dtype: np.dtype[Any]) -> npt.NDArray[np.uint8]:
-    """Return the bytes of long doubles with those that hold no number set to zero: x86 has 80 bits in 12 or 16 bytes."""
+    """Return the bytes of long doubles with their padding set to zero: on x86 a number fills 10 of 12 or 16 bytes."""
     if np.finfo(np.longdouble).nmant != 63:
         return raw
     numbers = raw.reshape(-1, np.dtype(np.longdouble).itemsize).copy()

@@ -5,32 +5,47 @@ their import statements, without importing anything), and the OpenCL files they 
 ``.cl``, beside the module, with the headers these include.  A package's ``__init__`` counts only where a name is
 imported from it, so that editing one module of a plugin leaves the nodes of the others alone.
 
-A node declared outside a file (a notebook cell, ``exec``) is fingerprinted by its byte code.
+A node declared outside a file (a notebook cell, ``exec``) is fingerprinted by its byte code and that of the functions
+it calls there; what a function closes over counts everywhere.  Where a source was edited after it was imported, the
+files do not say what runs here: the fingerprint is then one that no other process has.
 """
 
 from __future__ import annotations
 
 import ast
+import importlib.util
 import re
 import sys
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import CodeType
+from types import CodeType, FunctionType
 from typing import Any
 
 from xxhash import xxh3_128_digest
 
-from nodegraph.nodetypes import Node
+from nodegraph.nodetypes import BEGAN, Node
 
 _INCLUDE = re.compile(rb'^\s*#\s*include\s*"([^"]+)"', re.MULTILINE)
+
+
+_Stamp = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """A fingerprint, and the state of the files it was taken from."""
+
+    node: Node[..., Any]
+    digest: bytes
+    files: tuple[tuple[Path, _Stamp], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
     """What one source file holds: its digest, the module names it imports, the files it names."""
 
-    stat: tuple[int, int]
+    stat: _Stamp
     digest: bytes
     imports: tuple[tuple[str, tuple[str, ...]], ...]
     kernels: tuple[str, ...]
@@ -46,42 +61,37 @@ class Fingerprints:
     def __init__(self, packages: Iterable[str]) -> None:
         self._packages = frozenset(packages)
         self._scans: dict[Path, _Scan] = {}
-        self._nodes: dict[int, tuple[Node[..., Any], bytes]] = {}
+        self._nodes: dict[int, _Known] = {}
 
     def of(self, node: Node[..., Any]) -> bytes:
         """Return the fingerprint of a node's code, 16 bytes.
 
-        A node is read once per `Fingerprints`: its module is imported once, too.
+        Costs a look at each file: a kernel that is edited meanwhile is compiled anew.
         """
         known = self._nodes.get(id(node))
-        if known is None or known[0] is not node:
-            known = (node, self._compute(node))
-            self._nodes[id(node)] = known
-        return known[1]
+        if known is None or known.node is not node or any(_stamp(path) != stamp for path, stamp in known.files):
+            known = self._nodes[id(node)] = self._compute(node)
+        return known.digest
 
     def files(self, node: Node[..., Any]) -> list[Path]:
         """Return the source files that the fingerprint of a node covers, sorted."""
-        module = sys.modules.get(node.function.__module__)
-        start = getattr(module, "__file__", None)
-        return sorted(self._closure(node.function.__module__, Path(start))) if start else []
+        found: set[Path] = set()
+        for function in _implementations(node):
+            if start := getattr(sys.modules.get(function.__module__), "__file__", None):
+                found |= self._closure(function.__module__, Path(start))
+        return sorted(found)
 
-    def _compute(self, node: Node[..., Any]) -> bytes:
-        files = self.files(node)
-        parts = []
-        for path in files:
-            scan = self._scan(path)
-            if scan is None:
-                continue
-            parts.append(scan.digest)
-        changed_since = any(path.stat().st_mtime > node.declared_at for path in files)
-        if changed_since or node.function.__code__.co_filename not in map(str, files):
-            # The files do not say what runs here: a notebook cell, or a source edited after it was imported.
-            parts = [b"code", _code_digest(node.function.__code__)]
-            if node.twin is not None:
-                parts.append(_code_digest(node.twin.function.__code__))
-            if changed_since:
-                parts.append(str(node.declared_at).encode())
-        return xxh3_128_digest(b"".join(parts))
+    def _compute(self, node: Node[..., Any]) -> _Known:
+        scans = [(path, scan) for path in self.files(node) if (scan := self._scan(path)) is not None]
+        parts = [scan.digest for _, scan in scans]
+        names = {str(path) for path, _ in scans}
+        for function in _implementations(node):
+            in_file = getattr(getattr(function, "__code__", None), "co_filename", "") in names
+            if not in_file or function.__closure__:
+                parts.append(_function_digest(function, set(), everything=not in_file))
+        if _is_stale(node, scans):
+            parts.append(f"edited after its import at {node.declared_at}".encode())
+        return _Known(node, xxh3_128_digest(b"".join(parts)), tuple((path, scan.stat) for path, scan in scans))
 
     def _closure(self, name: str, start: Path) -> set[Path]:
         """Return the files reached from a module through imports of plugin code."""
@@ -127,18 +137,49 @@ class Fingerprints:
 
     def _scan(self, path: Path) -> _Scan | None:
         try:
-            status = path.stat()
-            stamp = (status.st_mtime_ns, status.st_size)
+            stamp = _stamp(path)
             known = self._scans.get(path)
-            if known is None or known.stat != stamp:
+            if stamp is not None and (known is None or known.stat != stamp):
                 known = _scan(path, stamp)
                 self._scans[path] = known
         except OSError:
             return None
-        return known
+        return known if stamp is not None else None
 
 
-def _scan(path: Path, stamp: tuple[int, int]) -> _Scan:
+def _implementations(node: Node[..., Any]) -> Iterator[Any]:
+    """Yield the functions that compute a node."""
+    yield node.function
+    if node.twin is not None:
+        yield node.twin.function
+
+
+def _stamp(path: Path) -> _Stamp | None:
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_mtime_ns, status.st_ctime_ns, status.st_size, status.st_ino
+
+
+def _is_stale(node: Node[..., Any], scans: list[tuple[Path, _Scan]]) -> bool:
+    """Say whether a source file may hold something else than what was imported from it.
+
+    The module of a node was read before the node was declared; nothing says when the others were, except that it was
+    in this process.
+    """
+    own = getattr(sys.modules.get(node.function.__module__), "__file__", None)
+    doubtful = set()
+    for path, scan in scans:
+        changed = 1e-9 * max(scan.stat[:2])
+        if path.suffix == ".py" and changed > (node.declared_at if str(path) == own else BEGAN):
+            doubtful.add(str(path))
+    if not doubtful:
+        return False
+    return not doubtful.isdisjoint({getattr(module, "__file__", None) for module in list(sys.modules.values())})
+
+
+def _scan(path: Path, stamp: _Stamp) -> _Scan:
     source = path.read_bytes()
     digest = xxh3_128_digest(source)
     if path.suffix != ".py":
@@ -173,11 +214,14 @@ def _locate(name: str) -> Path | None:
     """Return the file of a module, or the folder of a package, without importing it."""
     top, *rest = name.split(".")
     module = sys.modules.get(top)
-    if module is None:
-        return None
-    roots = [Path(item) for item in getattr(module, "__path__", [])]
+    try:
+        spec = importlib.util.find_spec(top) if module is None else None
+    except (ImportError, ValueError):
+        spec = None
+    inside = spec.submodule_search_locations if spec is not None else getattr(module, "__path__", None)
+    roots = [Path(item) for item in inside or ()]
     if not roots:
-        own = getattr(module, "__file__", None)
+        own = spec.origin if spec is not None else getattr(module, "__file__", None)
         return Path(own) if own and not rest else None
     for root in roots:
         base = root.joinpath(*rest)
@@ -188,8 +232,49 @@ def _locate(name: str) -> Path | None:
     return None
 
 
+def _function_digest(function: Any, seen: set[int], *, everything: bool) -> bytes:
+    """Return a digest of a function's byte code and of what it closes over.
+
+    With `everything`, the functions and constants of its own module that it names count, too.
+    """
+    if not isinstance(function, FunctionType) or id(function) in seen:
+        return type(function).__name__.encode()
+    seen.add(id(function))
+    parts = [_code_digest(function.__code__)]
+    for cell in function.__closure__ or ():
+        try:
+            parts.append(_content_digest(cell.cell_contents, function, seen, everything=everything))
+        except ValueError:  # still empty
+            parts.append(b"")
+    if everything:
+        for name in sorted(_names(function.__code__) & function.__globals__.keys()):
+            value = function.__globals__[name]
+            parts.append(name.encode() + _content_digest(value, function, seen, everything=True))
+    return xxh3_128_digest(b"\0".join(parts))
+
+
+def _content_digest(value: Any, user: FunctionType, seen: set[int], *, everything: bool) -> bytes:
+    value = value.function if isinstance(value, Node) else value
+    if isinstance(value, FunctionType) and value.__module__ == user.__module__:
+        return _function_digest(value, seen, everything=everything)
+    if isinstance(value, (str, bytes, int, float, complex, tuple, type(None))):
+        return repr(value).encode(errors="surrogatepass")
+    return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}".encode()
+
+
+def _names(code: CodeType) -> set[str]:
+    inner = [_names(item) for item in code.co_consts if isinstance(item, CodeType)]
+    return set(code.co_names).union(*inner)
+
+
 def _code_digest(code: CodeType) -> bytes:
     """Return a digest of a function's byte code and constants; nested functions count, line numbers do not."""
     names = " ".join([*code.co_names, *code.co_varnames]).encode()
-    constants = [_code_digest(item) if isinstance(item, CodeType) else repr(item).encode() for item in code.co_consts]
-    return xxh3_128_digest(b"\0".join([code.co_code, names, *constants]))
+    return xxh3_128_digest(b"\0".join([code.co_code, names, *map(_constant_digest, code.co_consts)]))
+
+
+def _constant_digest(item: Any) -> bytes:
+    if isinstance(item, CodeType):
+        return _code_digest(item)
+    # The order of a set changes from process to process.
+    return repr(sorted(map(repr, item)) if isinstance(item, frozenset) else item).encode(errors="surrogatepass")

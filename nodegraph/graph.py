@@ -19,12 +19,12 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from nodegraph import jsontext
+from nodegraph.atomic import write_atomically
 from nodegraph.document import FORMAT, NODE_ID, check_form
 from nodegraph.errors import GraphError, Problem, nearest
 from nodegraph.migrate import migrate
@@ -196,7 +196,8 @@ class Graph:
         if not NODE_ID.match(id):
             raise GraphError(f"node id '{id}' may hold only letters, digits, '_' and '-'", self.name)
         record: dict[str, Any] = {"type": type}
-        if declared is not None and declared.version > 1:
+        if declared is not None:
+            # What a tool writes says what it means: a record without a version was written by hand.
             record["version"] = declared.version
         inputs, params = {}, {}
         for name, value in ports_and_params.items():
@@ -394,28 +395,6 @@ class Graph:
             observers=tuple(observers),
             check=check,
         )
-
-
-def write_atomically(target: Path, content: bytes) -> None:
-    """Write a file whole or not at all: beside the target first, then renamed over it."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, aside = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name[:40]}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        mode = target.stat().st_mode & 0o777 if target.exists() else 0o666 & ~_umask()
-        Path(aside).chmod(mode)
-        Path(aside).replace(target)
-    except BaseException:
-        Path(aside).unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    # The mask can only be read by setting it; the safe value is there for an instant at most.
-    mask = os.umask(0o077)
-    os.umask(mask)
-    return mask
 
 
 def printable(path: str | os.PathLike[str]) -> str:

@@ -20,7 +20,7 @@ def migrate(
     """Return a document with every applicable migration applied, and a line for each change made.
 
     The given document is not modified; it is returned itself when nothing applies.  With `write_versions`, records of
-    known node types get the version of today where that is not 1.
+    known node types get the version of today.
     """
     by_type: dict[str, list[Migration]] = {}
     for migration in registry.migrations():
@@ -35,7 +35,7 @@ def migrate(
     if write_versions:
         for id, record in data["nodes"].items():
             node = registry.find(record["type"])
-            if node is not None and (record.get("version") or 1) < node.version:  # version 1 goes without saying
+            if node is not None and (record.get("version") or 0) < node.version:
                 changes.append(f"node '{id}': version {record.get('version', 'none')} -> {node.version}")
                 data["nodes"][id] = _with_version(record, node.version)
     return data, changes

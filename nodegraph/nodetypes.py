@@ -41,6 +41,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 F = TypeVar("F", bound=Callable[..., Any])
 
+BEGAN = time.time()
+"""When this process began to load nodes, seconds since the epoch."""
+
 _IMMUTABLE = frozenset({bool, int, float, str, bytes, type(None), type(Path())})
 
 

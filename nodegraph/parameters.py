@@ -15,10 +15,13 @@ import pydantic
 from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen
 from pydantic_core import to_json
 
-from nodegraph.errors import nearest
+from nodegraph.errors import PluginError, nearest
 
 REQUIRED: Any = object()
 """Stands for the default of a parameter that has none."""
+
+
+_NUMBERED = "parameter_number_"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,16 +138,39 @@ class ParameterSet:
 
     @cached_property
     def model(self) -> type[pydantic.BaseModel]:
-        """The pydantic model that checks the parameters: strict, finite numbers, no unknown names."""
+        """The pydantic model that checks the parameters: strict, finite numbers, no unknown names.
+
+        Its fields are numbered and have the parameters' names as aliases, so that any name will do.
+
+        Raises:
+            PluginError: an annotation says nothing that JSON can hold.
+        """
+        try:
+            return self._model(self.fields)
+        except Exception as error:  # pydantic has many
+            for name, item in self.fields.items():
+                try:
+                    self._model({name: item})
+                except Exception as cause:
+                    raise self._undeclarable(f"parameter '{name}'", cause) from cause
+            raise self._undeclarable("the parameters", error) from error
+
+    def _undeclarable(self, what: str, error: Exception) -> PluginError:
+        why = " ".join(str(error).split("\n", 1)[0].split())
+        return PluginError(f"node '{self._title}': {what} cannot be checked ({why})")
+
+    def _model(self, fields: Mapping[str, Field]) -> type[pydantic.BaseModel]:
         definitions: dict[str, Any] = {}
-        for item in self.fields.values():
+        for position, item in enumerate(fields.values()):
             extra: dict[str, Any] = {"unit": item.param.unit} if item.param.unit else {}
             annotation = item.annotation
             for constraint in item.param.constraints():
                 annotation = Annotated[annotation, constraint]
             default = ... if item.required else _spelt_out(item.default)
-            info = pydantic.Field(default, description=item.param.description or None, json_schema_extra=extra or None)
-            definitions[item.name] = (annotation, info)
+            info = pydantic.Field(
+                default, alias=item.name, description=item.param.description or None, json_schema_extra=extra or None
+            )
+            definitions[f"{_NUMBERED}{position}"] = (annotation, info)
         config = pydantic.ConfigDict(
             extra="forbid",
             strict=True,
@@ -185,9 +211,11 @@ class ParameterSet:
             model = self.model.__pydantic_validator__.validate_json(text)
         except pydantic.ValidationError as error:
             raise ParameterErrors([self._explain(item) for item in error.errors(include_url=False)]) from error
+        except TypeError as error:  # a bound that does not fit the type
+            raise self._undeclarable("a parameter", error) from error
         # A field holds exactly what the annotation says: tuples, literals, paths, enumerations, nested models.
-        values = {name: getattr(model, name) for name in self.fields}
-        dumped = model.model_dump(mode="json")
+        values = {name: getattr(model, f"{_NUMBERED}{position}") for position, name in enumerate(self.fields)}
+        dumped = model.model_dump(mode="json", by_alias=True)
         for item in self.input_files:
             # Which file it is decides the result, where it lies does not: its contents enter the key by themselves.
             dumped[item.name] = _names_only(dumped[item.name])
@@ -196,6 +224,8 @@ class ParameterSet:
     def _explain(self, error: Any) -> tuple[str, str]:
         path = error["loc"]
         name = str(path[0]) if path else ""
+        if name.startswith(_NUMBERED) and name not in self.fields:  # a wrong default
+            name = list(self.fields)[int(name.removeprefix(_NUMBERED))]
         inside = "".join(f"[{part}]" for part in path[1:] if isinstance(part, int))
         if error["type"] == "extra_forbidden" and len(path) == 1:
             return name, f"unknown parameter '{name}'; {nearest(name, self.fields)}"

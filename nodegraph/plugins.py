@@ -170,8 +170,8 @@ class Registry:
                     raise PluginError(f"family '{family.name}' is already registered by plugin '{owner}'")
                 if not family.name.isidentifier():
                     raise PluginError(f"family '{family.name}' must be an identifier")
-                if isinstance(family.modules, str):
-                    raise PluginError(f"family '{family.name}': modules must be a tuple of names, not a text")
+                if not isinstance(family.modules, tuple):
+                    raise PluginError(f"family '{family.name}': modules must be a tuple of names")
         except (PluginError, pluggy.PluginValidationError, ValueError) as error:
             if self._manager.get_plugin(plugin.name) is module:
                 self._manager.unregister(module)

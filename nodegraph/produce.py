@@ -108,7 +108,7 @@ class Producer:
         return self._remember(index, values, seconds, handed_on=handed_on)
 
     def _call(self, step: Step, sources: Sequence[Values | None], *, twin: bool) -> Values:
-        """Run the twin or the host implementation; what a twin gives is finished, and on the host where that is free."""
+        """Run the twin or the host implementation; what a twin gives is finished, and on the host if that is free."""
         inputs = self._inputs(step, sources, twin=twin)
         context = self._context(step, twin=twin) if twin or step.node.context_parameter is not None else _INERT
         values = step.node.run(inputs, step.params, context, twin=twin)

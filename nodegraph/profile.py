@@ -97,7 +97,7 @@ class Profile:
 
     def write(self, path: Path) -> None:
         """Write the trace whole or not at all.  Raises OSError where it cannot be written."""
-        from nodegraph.graph import write_atomically
+        from nodegraph.atomic import write_atomically
 
         write_atomically(path, json.dumps(self.trace()).encode())
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from xxhash import xxh3_128_digest
 
+from nodegraph.atomic import write_atomically
 from nodegraph.cache import Cache
 from nodegraph.files import File
-from nodegraph.graph import write_atomically
 
 Made = tuple[str, int, str]
 """A file as results remember it: name, size, digest of the contents."""

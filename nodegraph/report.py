@@ -52,7 +52,7 @@ def build(graph: Graph, result: Result, *, exit_status: int) -> dict[str, Any]:
 
 def write(path: Path, report: dict[str, Any]) -> None:
     """Write a report whole or not at all.  Raises OSError where it cannot be written."""
-    from nodegraph.graph import write_atomically
+    from nodegraph.atomic import write_atomically
 
     write_atomically(path, (json.dumps(report, indent=1, ensure_ascii=False) + "\n").encode())
 

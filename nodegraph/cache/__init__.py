@@ -12,6 +12,7 @@ written - costs time, never a wrong result.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import logging
 import os
@@ -20,7 +21,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Lock
+from threading import Lock, RLock
 from typing import Any
 
 from xxhash import xxh3_128
@@ -76,6 +77,7 @@ class Cache:
         self._used: set[bytes] = set()
         self._flushed = time.monotonic()
         self._lock = Lock()
+        self._counting = RLock()
         self._storing = True
         self._file_digests: dict[Path, tuple[tuple[int, ...], bytes]] = {}
         if folder is not None:
@@ -177,9 +179,10 @@ class Cache:
                 log.warning("values cannot be stored in the cache (%s); they are kept in memory only", why)
             return
         self._index.add_stored(digest, size, seconds)
-        self._size += size
-        if self._size > self.disk_budget:
-            self.collect()
+        with self._counting:
+            self._size += size
+            if self._size > self.disk_budget:
+                self.collect()
 
     def _discard(self, digest: bytes) -> None:
         if self._store is not None and self._index is not None:
@@ -194,9 +197,8 @@ class Cache:
     def file_digest(self, path: Path) -> bytes:
         """Return the digest of a file's contents, 16 bytes.  An unchanged file is read once.
 
-        Unchanged means the same size, inode and times, that of the last change of its data or inode among them, which no
-        tool that copies or unpacks files can set back.  A file changed in the last two seconds is read again, since a
-        second change could carry the same time.
+        Unchanged means the same size, inode and times; one of these no tool that copies or unpacks files can set back.
+        A file changed in the last two seconds is read again, since a second change could carry the same time.
 
         Raises:
             OSError: it cannot be read.
@@ -254,9 +256,12 @@ class Cache:
         """
         if self._index is None or self._store is None:
             return 0
-        limit = self.disk_budget if budget is None else budget
-        on_disk = dict(self._store.digests())
-        known = self._index.stored()
+        with self._counting:
+            return self._collect(self._store, self._index, self.disk_budget if budget is None else budget)
+
+    def _collect(self, store: ValueStore, index: Index, limit: int) -> int:
+        on_disk = dict(store.digests())
+        known = index.stored()
         entries = [(digest, on_disk[digest], priority) for digest, _, priority in known if digest in on_disk]
         listed = {digest for digest, _, _ in entries}
         entries = [(digest, size, -1.0) for digest, size in on_disk.items() if digest not in listed] + entries
@@ -266,12 +271,16 @@ class Cache:
             for digest, size, priority in entries:
                 if total - freed <= limit * 9 // 10:
                     break
-                self._store.remove(digest)
+                try:
+                    store.remove(digest)
+                except OSError:  # somebody else's, or no file at all
+                    continue
                 gone.append(digest)
                 freed, floor = freed + size, max(priority, 0.0)
-        self._index.forget_stored(gone, floor)
-        for path in self._store.leftovers(time.time() - 3600):
-            path.unlink(missing_ok=True)
+        index.forget_stored(gone, floor)
+        for path in store.leftovers(time.time() - 3600):
+            with contextlib.suppress(OSError):
+                path.unlink()
         self._size = total - freed
         return freed
 
@@ -306,8 +315,9 @@ class Cache:
             return 0
         freed = 0
         for digest, size in list(self._store.digests()):
-            self._store.remove(digest)
-            freed += size
+            with contextlib.suppress(OSError):
+                self._store.remove(digest)
+                freed += size
         self._index.clear()
         self._drop_answers()
         self._size = 0

@@ -17,6 +17,7 @@ import contextlib
 import json
 import logging
 import sqlite3
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +47,8 @@ _DAMAGED = {
 # Of the failures of the disk only these speak of what is stored; a full disk or a quota fails in writing, and what is
 # there stays good.
 _DAMAGED_IO = {sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_CORRUPTFS}
+_BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
+_BUSY_SECONDS = 20.0
 _to_json = json.JSONEncoder(separators=(",", ":")).encode
 _MISSES_PER_LOOK, _KEYS_PER_MISS = 32, 30
 _TABLES = ("results", "histories", "files")
@@ -183,7 +186,18 @@ class Index:
             self._set_aside(error)
 
     def _open(self) -> sqlite3.Connection:
-        connection = sqlite3.connect(self._path, timeout=20, isolation_level=None, check_same_thread=False)
+        deadline = time.monotonic() + _BUSY_SECONDS
+        while True:
+            try:
+                return self._open_once()
+            except sqlite3.DatabaseError as error:
+                # Where several processes begin a database at once, SQLite refuses all but one without waiting.
+                if _code(error) not in _BUSY or time.monotonic() > deadline:
+                    raise
+            time.sleep(0.01)
+
+    def _open_once(self) -> sqlite3.Connection:
+        connection = sqlite3.connect(self._path, timeout=_BUSY_SECONDS, isolation_level=None, check_same_thread=False)
         try:
             connection.execute("PRAGMA journal_mode=WAL")
             connection.execute("PRAGMA synchronous=NORMAL")
@@ -229,7 +243,7 @@ class Index:
     def _failed(self, error: Exception) -> None:
         if _is_damage(error):
             self._set_aside(error)
-        elif _code(error) in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        elif _code(error) in _BUSY:
             log.warning("the cache index is busy with another process; this result is not remembered")
         elif self.writable:
             self.writable = False

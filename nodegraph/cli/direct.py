@@ -156,7 +156,7 @@ def note(call: Call, result: Result, folder: Path, *, quiet: bool) -> None:
 
     `folder` is where the files of the run are.
     """
-    from nodegraph.graph import write_atomically
+    from nodegraph.atomic import write_atomically
 
     plan = result.plan
     if plan.cache.folder is None:

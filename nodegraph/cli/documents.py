@@ -88,7 +88,7 @@ def preview(
 
     It is computed where it is not known.
     """
-    from nodegraph.graph import write_atomically
+    from nodegraph.atomic import write_atomically
     from nodegraph.plugins import registry
     from nodegraph.porttypes import describe
     from nodegraph.run import run_graph

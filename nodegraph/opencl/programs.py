@@ -116,7 +116,7 @@ class Programs:
     def get(
         self, path: Path, include: Sequence[Path], defines: Mapping[str, Define], before: Sequence[Path] = ()
     ) -> Program:
-        """Return the program of a kernel file led by those `before` it, compiled where neither it nor a header of it is known as it is now.
+        """Return the program of a kernel file, compiled where it, what stands before it or a header has changed.
 
         Costs a look at the time stamp of each file when it is known.
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nodegraph import Preview
-from nodegraph_terrain.raster import Elevation, Grid, Image, Labels, Mask, Raster, Shade, Slope
+from nodegraph_terrain.raster import Elevation, Grid, Image, Labels, Mask, Normals, Raster, Shade, Slope
 from nodegraph_terrain.statistics import Histogram
 
 LONG_SIDE = 1024
@@ -57,11 +57,21 @@ def preview_labels(labels: Labels) -> bytes:
     return _png(np.concatenate([colours, alpha[..., None]], axis=-1).astype(np.uint8))
 
 
+def preview_normals(normals: Normals) -> bytes:
+    """Show east, north and up as red, green and blue, -1 to 1 as black to full."""
+    rows, cols = _size(normals)
+    picked = normals.data[_middles(normals.shape[0], rows)][:, _middles(normals.shape[1], cols)]
+    missing = np.isnan(picked).any(axis=2)
+    pixels = np.empty((*missing.shape, 4), np.uint8)
+    pixels[..., :3] = np.rint(np.clip(np.nan_to_num(picked) * 127.5 + 127.5, 0, 255))
+    pixels[..., 3] = np.where(missing, 0, 255)
+    return _png(pixels)
+
+
 def preview_histogram(histogram: Histogram) -> bytes:
     """Show the counts as bars over the edges, with the unit."""
     from io import BytesIO
 
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7, 4), dpi=120, layout="constrained")
@@ -71,7 +81,7 @@ def preview_histogram(histogram: Histogram) -> bytes:
     axes.set_xlabel(histogram.unit)
     axes.spines[["top", "right"]].set_visible(False)
     buffer = BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+    figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -98,6 +108,7 @@ PREVIEWS: tuple[Preview, ...] = (
     Preview(Raster, preview_raster),
     Preview(Labels, preview_labels),
     Preview(Image, preview_image),
+    Preview(Normals, preview_normals),
     Preview(Histogram, preview_histogram),
 )
 """How the grid types are drawn; a type without an entry takes that of its nearest base."""

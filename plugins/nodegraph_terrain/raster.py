@@ -166,7 +166,19 @@ class Image(Grid):
             raise ValueError(f"image data of shape {self.data.shape} must have 3 or 4 channels")
 
 
-GRIDS: tuple[type[Grid], ...] = (Grid, Raster, Elevation, Mask, Slope, Shade, Labels, Image)
+@port_type
+class Normals(Grid):
+    """Upward unit normals of the ground, (rows, columns, 3) float32: east, north, up; NaN is a void."""
+
+    axes: ClassVar[int] = 3
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.data.shape[2] != 3:
+            raise ValueError(f"normals of shape {self.data.shape} must have 3 components")
+
+
+GRIDS: tuple[type[Grid], ...] = (Grid, Raster, Elevation, Mask, Slope, Shade, Labels, Image, Normals)
 """Every grid type of this plugin."""
 
 

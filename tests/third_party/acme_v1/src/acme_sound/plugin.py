@@ -1,0 +1,39 @@
+"""What this package brings to nodegraph."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from nodegraph import Family, Node, Preview, hookimpl
+
+
+@hookimpl
+def nodegraph_families() -> Sequence[Family]:
+    """List the family ``acme``."""
+    return [Family("acme", modules=("acme_sound.nodes",), title="Acme sound")]
+
+
+@hookimpl
+def nodegraph_port_types() -> Sequence[type]:
+    """List melodies and waves."""
+    from acme_sound.porttypes import Melody, Wave
+
+    return [Melody, Wave]
+
+
+@hookimpl
+def nodegraph_conversions() -> Sequence[Node[..., Any]]:
+    """A melody may go wherever a wave is wanted."""
+    from acme_sound.nodes import as_wave
+
+    return [as_wave]
+
+
+@hookimpl
+def nodegraph_previews() -> Sequence[Preview]:
+    """Draw a melody."""
+    from acme_sound.porttypes import Melody
+    from acme_sound.roll import draw
+
+    return [Preview(Melody, draw)]
