@@ -172,6 +172,7 @@ class _Builder:
         self.sources: list[Path] = []
         self.places: dict[str, int] = {}
         self.outputs: dict[str, tuple[int, int]] = {}
+        self.declared: dict[tuple[str, int, int], type] = {}
 
     def problem(self, where: str, message: str) -> None:
         self.problems.append(Problem(where, message))
@@ -459,10 +460,13 @@ class _Builder:
         listed = [given] if isinstance(given, str) else given
         if len(listed) > 1 and not port.variadic:
             self.problem(where, f"takes one link, {len(listed)} are given")
+        at = f"{outer.name}: node '{inner.own_id}': input '{wanted}'"
+        declared = porttypes.named(inner.data["inputs"][wanted]["type"])
         for text in listed:
-            self._add_link(
-                step, port, self._resolve(outer, text, f"{outer.name}: node '{inner.own_id}': input '{wanted}'")
-            )
+            source = self._resolve(outer, text, at)
+            self._add_link(step, port, source)
+            if source is not None and declared is not None:
+                self.declared[at, source[0].index, source[1]] = declared
 
     def _check_subgraph_inputs(self, scope: _Scope, id: str, inner: _Scope, links: dict[str, Any]) -> None:
         exposed = inner.data.get("inputs", {})
@@ -529,6 +533,7 @@ class _Builder:
             by_index = {step.index: step for step in order}
             for step in order:
                 self._check_types(step, by_index)
+            self._check_declared(by_index)
         self.steps = order
 
     def _report_cycle(self, stuck: list[Step]) -> None:
@@ -569,6 +574,16 @@ class _Builder:
             # A generic input that found no source says nothing of the output: no problem may follow from another.
             bound = {item.variable: _UNKNOWN for item in step.node.outputs if item.variable} | bound
         step.types = tuple([bound.get(item.variable, item.type) for item in step.node.outputs])
+
+    def _check_declared(self, by_index: dict[int, Step]) -> None:
+        """Hold what is linked to a subgraph's inputs against the types that its file declares for them."""
+        for (where, source, output), declared in self.declared.items():
+            given = by_index[source].types[output]
+            fits = given is _UNKNOWN or porttypes.accepts(declared, given)
+            if not fits and self.registry.conversion(given, declared) is None:
+                origin = f"'{by_index[source].id}.{by_index[source].node.outputs[output].name}'"
+                wanted, other = _article(porttypes.describe(declared)), _article(porttypes.describe(given))
+                self.problem(where, f"takes {wanted}, but {origin} gives {other}")
 
     def convert(self) -> None:
         """Insert a step wherever a link needs a registered conversion; links that share a source share it."""

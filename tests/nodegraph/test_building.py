@@ -24,7 +24,11 @@ def test_add_sorts_links_from_parameters() -> None:
         "number": {"type": "toy.number", "version": 1, "params": {"value": 2.5, "tag": "x/y"}},
         "plus": {"type": "toy.increase", "version": 1, "inputs": {"x": "number"}, "params": {"by": 3}},
         "halves": {"type": "toy.halves", "version": 1, "inputs": {"x": "plus"}},
-        "add": {"type": "toy.add", "version": 1, "inputs": {"terms": ["number", "halves.high", "plus.out"]}},
+        "add": {
+            "type": "toy.add",
+            "version": 1,
+            "inputs": {"terms": ["number", "halves.high", "plus.out"]},
+        },
         "maybe": {"type": "toy.maybe", "version": 1, "inputs": {"x": "number"}},
     }
     graph.validate()

@@ -118,6 +118,18 @@ def test_an_old_graph_runs_and_its_file_stays_as_it_is() -> None:
     assert graph.to_json() == text
 
 
+def test_a_meaning_changes_for_graphs_built_before_it() -> None:
+    """A graph made in Python when the node was at its first version, loaded when it is at its second."""
+    first = node(version=1)(plain.function)
+    first.family = "new"
+    old = toy.toy_registry(first, family="new")
+    graph = Graph(registry=old)
+    graph.add("new.plain", "n", x=graph.add("toy.number", "a"), level=2.0)
+    halved = Migration("new.plain", 2, change=lambda params: {**params, "level": params["level"] / 2})
+    new = registry(halved)
+    assert Graph.from_json(graph.to_json(), registry=new).run(cache=toy.memory_cache())["n"] == 2.0
+
+
 def test_an_old_graph_and_its_upgrade_share_results() -> None:
     cache = toy.memory_cache()
     graph = load(document({"type": "old.dig", "version": 1, "params": {"w": 2}}))

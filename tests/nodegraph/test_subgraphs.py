@@ -370,3 +370,14 @@ def test_a_variadic_port_is_fed_a_list(folder: Path) -> None:
 def test_an_outer_link_to_nothing_is_reported_even_where_the_inner_port_is_optional(folder: Path) -> None:
     (found,) = problems(folder, {"sub": use(inputs={"start": "a", "extra": "gone"})})
     assert found.startswith("outer.json: node 'sub': input 'extra': links to 'gone'")
+
+
+def test_what_is_linked_is_held_against_the_declared_type(tmp_path: Path) -> None:
+    data = json.loads(json.dumps(INNER))
+    data["inputs"]["start"]["type"] = "Text"
+    write(tmp_path / "inner.json", data)
+    with pytest.raises(GraphError) as caught:
+        load(tmp_path, {"c": use(inputs={"start": "a"})}).validate()
+    assert [str(item) for item in caught.value.problems] == [
+        "outer.json: node 'c': input 'start': takes a Text, but 'a.out' gives a Number"
+    ]
