@@ -51,7 +51,9 @@ def fan(count: int) -> Edges:
 def random_dag(count: int) -> Edges:
     """Each node on up to three earlier ones; a last one on all that nothing else uses."""
     dice = random.Random(1)
-    edges = [sorted({dice.randrange(index) for _ in range(min(index, 3))}) if index else [] for index in range(count - 1)]
+    edges = [
+        sorted({dice.randrange(index) for _ in range(min(index, 3))}) if index else [] for index in range(count - 1)
+    ]
     used = {source for sources in edges for source in sources}
     return [*edges, [index for index in range(count - 1) if index not in used]]
 
@@ -123,7 +125,9 @@ def measure(edges: Edges, repeat: int, peers: bool) -> dict[str, float]:
         warm = next(folders)
         cache = Cache(warm)
         graph.run([target], cache=cache)
-        found["nodegraph cached, same process"] = median_seconds(lambda: lambda: graph.run([target], cache=cache), repeat)
+        found["nodegraph cached, same process"] = median_seconds(
+            lambda: lambda: graph.run([target], cache=cache), repeat
+        )
         cache.close()
         found["nodegraph cached, fresh index"] = median_seconds(lambda: with_cache(warm, graph), repeat)
     if peers:
