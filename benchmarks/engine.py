@@ -1,7 +1,7 @@
 """Overhead of the engine per node, beside Dask's schedulers and Hamilton in the same run.
 
-Graphs of nodes that do next to nothing: what is measured is what each engine adds.  nodegraph is timed with its cache on
-disk (the default) and in memory only, the first time (cold) and again (cached); the peers remember nothing, so both
+Graphs of nodes that do next to nothing: what is measured is what each engine adds.  nodegraph is timed with its cache
+on disk (the default) and in memory only, the first time (cold) and again (cached); the peers remember nothing, so both
 times they compute.
 
     uv run --group bench python benchmarks/engine.py [--nodes 1000] [--repeat 5] [--large]
