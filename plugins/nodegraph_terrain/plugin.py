@@ -20,6 +20,7 @@ NODE_MODULES = (
     "colour",
     "arithmetic",
     "statistics",
+    "noise_raster",
     "conversions",
     "save",
 )

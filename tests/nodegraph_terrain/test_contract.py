@@ -84,6 +84,14 @@ EXAMPLES: dict[str, list[Example]] = {
         *cases({"from_minimum": 400, "from_maximum": 600, "clamp": True}, surface=HOLEY),
         *cases({"curve": [[0, 0], [0.3, 0.8], [1, 1]]}, surface=SOLID),
     ],
+    "terrain.noise": [
+        *cases(
+            {"extent": [1e6, 2e6, 1e6 + 900, 2e6 + 700], "cell_size": 10, "kind": "ridged", "seed": 3},
+            {"rows": 20, "columns": 33, "kind": "warped", "wavelength": 3e4, "kappa": 0.6, "offset": 4000},
+            {"rows": 9, "columns": 8, "kind": "gradient", "crs": "EPSG:32616"},
+        ),
+        *cases({}, {"kind": "hybrid", "octaves": 12, "gain": 0.8}, {"kind": "billow", "kappa": 0.3}, like=HOLEY),
+    ],
     "terrain.reproject": [*cases({"cell_size": 60}, surface=DEGREES), *cases({"cell_size": 45}, surface=SOLID)],
     "terrain.resample": [
         *cases({"cell_size": 20, "method": "bilinear"}, {"cell_size": 20, "method": "cubic"}, surface=SOLID),

@@ -1,0 +1,142 @@
+"""Sampling construction trees: OpenCL beside vectorised NumPy, pruned beside unpruned, many primitives beside few.
+
+All of one run, on the device that `auto` chooses.  The scenes have as many primitives and operators as those of Table 1
+of Génevaux 2015 (doi:10.1111/cgf.12530), whose times on a GTX 670 stand beside ours: they are for meshes of 5 to 80
+million calls of f, not for one picture, so compare the rates.
+
+    uv run --group bench python benchmarks/tree.py [--size 1024] [--repeat 3]
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from nodegraph import Context, codec
+from nodegraph.opencl import Device, choose, to_host
+from nodegraph_terrain.raster import Extent
+from nodegraph_tree.affine import placed
+from nodegraph_tree.blend import Blend, blend
+from nodegraph_tree.carve import Carve
+from nodegraph_tree.device import sample_on_device
+from nodegraph_tree.disc import Disc, NoiseField, Relief
+from nodegraph_tree.evaluate import sample_grid
+from nodegraph_tree.function import Box, ElevationFunction, walk
+from nodegraph_tree.replace import replace
+
+TABLE_1 = {
+    "figure 1": (2000.0, 70, 9, 5, 14),
+    "figure 3": (1000.0, 20, 3, 5, 6),
+    "figure 19": (200_000.0, 15, 3, 20, 25),
+    "figure 20": (2000.0, 78, 10, 20, 80),
+    "figure 21": (100_000.0, 50, 25, 80, 600),
+    "figure 22": (600.0, 148, 9, 80, 560),
+}
+"""Scene: side (m), primitives, operators, and the paper's calls of f (millions) and time (ms) for a regular mesh."""
+
+
+def scene(side: float, primitives: int, operators: int, *, cover: float = 10.0, seed: int = 0) -> ElevationFunction:
+    """Return discs of noise that cover a square `cover` times, joined by operators of several kinds."""
+    dice = np.random.default_rng(seed)
+    radius = float(np.sqrt(cover * side * side / primitives / np.pi))
+    leaves: list[ElevationFunction] = []
+    for number in range(primitives - 1):
+        x, y = dice.uniform(0, side, 2).tolist()
+        relief = Relief("ridged" if number % 3 == 0 else "fbm", 0.05 * radius, radius, seed=number)
+        disc = Disc(0.0, 0.0, radius * float(dice.uniform(0.7, 1.3)), float(dice.uniform(0, 0.1 * radius)), relief)
+        moved = Disc(x, y, disc.radius, disc.height, relief)
+        leaves.append(placed(disc, position=(x, y), rotation=float(dice.uniform(0, 360))) if number % 2 else moved)
+    ground: ElevationFunction = NoiseField(0.0, 0.0, 0.0, Relief("fbm", 0.02 * side, side / 3, seed=seed))
+    parts = np.array_split(np.arange(len(leaves)), max(1, operators // 2))
+    for number, part in enumerate(parts):
+        group = blend([leaves[index] for index in part])
+        ground = Carve(ground, group) if number % 3 == 2 else replace(ground, [group])
+    return ground
+
+
+def median_seconds(work: Callable[[], object], repeat: int) -> float:
+    work()
+    times = []
+    for _ in range(repeat):
+        started = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - started)
+    return statistics.median(times)
+
+
+def on_device(root: ElevationFunction, extent: Extent, size: int, device: Device) -> Callable[[], object]:
+    return lambda: to_host(sample_on_device(root, extent, (size, size), device, Context())[0])
+
+
+def on_host(root: ElevationFunction, extent: Extent, size: int) -> Callable[[], object]:
+    return lambda: [part.height for _, part in sample_grid(root, extent, (size, size), Context())]
+
+
+class Unpruned(Blend):
+    """A blend that asks every operand everywhere."""
+
+    def reaching(self, box: Box) -> list[ElevationFunction]:  # noqa: ARG002
+        return list(self.operands)
+
+
+def discs(count: int, side: float, cover: float) -> list[ElevationFunction]:
+    dice = np.random.default_rng(3)
+    radius = float(np.sqrt(cover * side * side / count / np.pi))
+    relief = Relief("fbm", 0.05 * radius, radius)
+    return [Disc(float(x), float(y), radius, 0.0, relief) for x, y in dice.uniform(0, side, (count, 2))]
+
+
+def calls(root: ElevationFunction) -> tuple[int, int, int]:
+    """Return primitives, operators and bytes of a tree."""
+    nodes = list(walk(root))
+    encoded = codec.encode(root)
+    size = len(str(encoded.structure)) + sum(array.nbytes for array in encoded.arrays)
+    return sum(1 for item in nodes if not item.parts), sum(1 for item in nodes if item.parts), size
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=int, default=1024)
+    parser.add_argument("--repeat", type=int, default=3)
+    options = parser.parse_args()
+    device = choose("auto")
+    if device is None:
+        print("no OpenCL device; install pyopencl[pocl]", file=sys.stderr)
+        return 2
+    size, samples = options.size, options.size**2 / 1e6
+    print(f"{device.info}, {size} x {size} samples, medians of {options.repeat}\n")
+    print(
+        f"{'scene':12}{'primitives':>11}{'operators':>11}{'bytes':>9}{'ms':>9}{'Msamples/s':>12}{'paper Mcalls/s':>16}"
+    )
+    for name, (side, primitives, operators, million, milliseconds) in TABLE_1.items():
+        root, extent = scene(side, primitives, operators), Extent(0, 0, side, side)
+        seconds = median_seconds(on_device(root, extent, size, device), options.repeat)
+        leaves, inner, weight = calls(root)
+        rate = 1e3 * million / milliseconds
+        print(f"{name:12}{leaves:11}{inner:11}{weight:9}{seconds * 1e3:9.0f}{samples / seconds:12.2f}{rate:16.0f}")
+
+    side, primitives, operators, _, _ = TABLE_1["figure 22"]
+    root, extent = scene(side, primitives, operators), Extent(0, 0, side, side)
+    fast = median_seconds(on_device(root, extent, size, device), options.repeat)
+    slow = median_seconds(on_host(root, extent, size), 1)
+    print(f"\n148 primitives: OpenCL {fast * 1e3:.0f} ms, NumPy {slow * 1e3:.0f} ms: {slow / fast:.1f} times")
+
+    leaves = discs(148, 1000.0, 4.0)
+    extent = Extent(0, 0, 1000, 1000)
+    pruned = median_seconds(on_device(blend(leaves), extent, size, device), options.repeat)
+    full = median_seconds(on_device(Unpruned(tuple(leaves)), extent, size, device), 1)
+    print(f"148 discs: pruned {pruned * 1e3:.0f} ms, unpruned {full * 1e3:.0f} ms: {full / pruned:.1f} times")
+
+    few = median_seconds(on_device(blend(discs(100, 1000.0, 4.0)), extent, size, device), options.repeat)
+    many = median_seconds(on_device(blend(discs(10_000, 1000.0, 4.0)), extent, size, device), options.repeat)
+    print(f"equal overlap: 100 discs {few * 1e3:.0f} ms, 10,000 discs {many * 1e3:.0f} ms: {many / few:.1f} times")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
