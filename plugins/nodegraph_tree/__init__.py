@@ -1,0 +1,1 @@
+"""Construction trees: terrain as a function, built from landform primitives and operators [Génevaux 2015]."""

@@ -1,0 +1,50 @@
+// The stack machine: each work item runs the program of its tile for eight samples of a row.
+
+#include "tree.h"
+
+#define CASE(code, name)                                                    \
+    case code:                                                              \
+        name(&s, floats + step.y, ints + step.z, data);                     \
+        break;
+
+__kernel void sample(
+    __global const int4 *restrict code, __global const int *restrict starts, __global const float *restrict floats,
+    __global const int *restrict ints, __global const float *restrict data,
+    const int rows, const int cols, const int across, const int first, const float dx, const float dy,
+    const float detail, __global const float *restrict details, const float threshold,
+    __global float *restrict height, __global float *restrict weight)
+{
+    const int column = 8 * get_global_id(0), row = first + get_global_id(1);
+    const int tile = (row / TILE) * across + column / TILE;
+    State s;
+    s.top = -1;
+    s.frame = 0;
+    s.column = column % TILE;
+    s.row = row % TILE;
+    s.x = ((float8)(0, 1, 2, 3, 4, 5, 6, 7) + (s.column + 0.5f)) * dx;
+    s.y = -(s.row + 0.5f) * dy;
+    const long place = (long)row * cols + column;
+    const int count = min(8, cols - column);
+    s.detail = detail;
+    if (details)
+        for (int i = 0; i < count; i++)
+            ((float *)&s.detail)[i] = details[place + i];
+    const int end = starts[tile + 1];
+    for (int at = starts[tile]; at < end; at++) {
+        const int4 step = code[at];
+        switch (step.x) {
+            CASES
+        }
+    }
+    // A mask goes to 1: what blends weigh beyond that matters inside the tree only.
+    const float8 a = fmin(s.a[0], 1.0f), f = a >= threshold ? s.f[0] : (float8)(NAN);
+    if (count == 8) {
+        vstore8(f, 0, height + place);
+        vstore8(a, 0, weight + place);
+    } else {
+        for (int i = 0; i < count; i++) {
+            height[place + i] = ((const float *)&f)[i];
+            weight[place + i] = ((const float *)&a)[i];
+        }
+    }
+}
