@@ -16,6 +16,7 @@ the tile's corner, carried through every transform.  Parameters are made relativ
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -223,10 +224,11 @@ def sample_on_device(
     device: Device,
     context: Context,
     detail: Floats | float = 1.0,
+    heaviest: float = math.inf,
 ) -> tuple[Any, Any]:
     """Sample a tree at the cell centres of a grid.
 
-    Returns device arrays of height (NaN outside Omega_T) and weight (held at 1).
+    Returns device arrays of height (NaN outside Omega_T) and weight.
 
     Args:
         root: the tree.
@@ -235,6 +237,7 @@ def sample_on_device(
         device: where to compute.
         context: for progress and cancelling.
         detail: level of detail kappa, one or one per cell, (rows, cols).
+        heaviest: what weights are held at; those of blends have no limit of their own.
     """
     rows, cols = shape
     emitter = Emitter()
@@ -274,7 +277,7 @@ def sample_on_device(
         context.progress(0.5 + 0.5 * first / rows)
         device.run(
             program, "sample", (across * TILE // 8, count), *buffers, rows, cols, across, first, dx, dy, one, many,
-            THRESHOLD, height, weight, local_size=(TILE // 8, 1),
+            THRESHOLD, heaviest, height, weight, local_size=(TILE // 8, 1),
         )  # fmt: skip
         device.finish()
     return height, weight

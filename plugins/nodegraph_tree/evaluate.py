@@ -129,7 +129,7 @@ def _twin(
     assert device is not None
     grid, shape = grid_of(like, extent, cell_size, rows, columns, crs)
     details = _details(grid, shape, to_host(detail_map), detail, viewpoint, view_range)
-    height, weight = sample_on_device(to_host(function), grid, shape, device, context, details)
+    height, weight = sample_on_device(to_host(function), grid, shape, device, context, details, heaviest=1.0)
     return Sampled(Elevation(height, grid), Mask(weight, grid))
 
 

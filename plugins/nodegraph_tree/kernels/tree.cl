@@ -11,7 +11,7 @@ __kernel void sample(
     __global const int4 *restrict code, __global const int *restrict starts, __global const float *restrict floats,
     __global const int *restrict ints, __global const float *restrict data,
     const int rows, const int cols, const int across, const int first, const float dx, const float dy,
-    const float detail, __global const float *restrict details, const float threshold,
+    const float detail, __global const float *restrict details, const float threshold, const float heaviest,
     __global float *restrict height, __global float *restrict weight)
 {
     const int column = 8 * get_global_id(0), row = first + get_global_id(1);
@@ -36,8 +36,7 @@ __kernel void sample(
             CASES
         }
     }
-    // A mask goes to 1: what blends weigh beyond that matters inside the tree only.
-    const float8 a = fmin(s.a[0], 1.0f), f = a >= threshold ? s.f[0] : (float8)(NAN);
+    const float8 f = s.a[0] >= threshold ? s.f[0] : (float8)(NAN), a = fmin(s.a[0], heaviest);
     if (count == 8) {
         vstore8(f, 0, height + place);
         vstore8(a, 0, weight + place);
