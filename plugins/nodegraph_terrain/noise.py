@@ -386,8 +386,15 @@ def origins_of(noises: Sequence[Noise], x: Floats, y: Floats) -> Words:
 
     Far faster than asking one by one, where there are many.  Raises `ValueError` as that does.
     """
-    frames = np.concatenate([noise.frames for noise in noises])
-    counts = [len(noise.frames) for noise in noises]
+    # Scenes share noises between many places: each is laid out once.
+    distinct = {id(noise): noise for noise in noises}
+    order = {key: place for place, key in enumerate(distinct)}
+    which = np.array([order[id(noise)] for noise in noises])
+    sizes = np.array([len(noise.frames) for noise in distinct.values()])
+    counts, starts = sizes[which], (np.cumsum(sizes) - sizes)[which]
+    ends = np.cumsum(counts)
+    rows = np.repeat(starts - (ends - counts), counts) + np.arange(ends[-1])
+    frames = np.concatenate([noise.frames for noise in distinct.values()])[rows]
     px, py = np.repeat(x, counts), np.repeat(y, counts)
     cells = np.stack([px * frames[:, axis] + py * frames[:, axis + 1] + frames[:, 4 + axis // 2] for axis in (0, 2)], 1)
     base = np.floor(cells)

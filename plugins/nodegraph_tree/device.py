@@ -139,8 +139,10 @@ class Emitter:
             floats, ints: its parameters, rounded to float32 and int32.
             pushes: how many (f, alpha) pairs it leaves on the stack more than it takes.
         """
-        number = self.kernels.setdefault(kernel.name, (kernel, len(self.kernels)))[1]
-        self.code.append((number, len(self.floats), len(self.ints), 0))
+        known = self.kernels.get(kernel.name)
+        if known is None:
+            known = self.kernels[kernel.name] = (kernel, len(self.kernels))
+        self.code.append((known[1], len(self.floats), len(self.ints), 0))
         self.floats.extend(floats)
         words = self.ints
         for item in ints:
@@ -194,11 +196,11 @@ class Emitter:
         """Return the integer parameters of all instructions, pending ones computed."""
         words = np.array(self.ints or [0], np.int32)
         for fill, waiting in self._pending.items():
-            xs, ys = (np.array([getattr(item, axis) for _, item in waiting]) for axis in ("x", "y"))
+            xs, ys = np.array([(item.x, item.y) for _, item in waiting]).T
             filled = fill([item.owner for _, item in waiting], xs, ys)
-            counts = np.array([item.size for _, item in waiting])
+            places, counts = np.array([(place, item.size) for place, item in waiting]).T
             ends = np.cumsum(counts)
-            starts = np.repeat(np.array([place for place, _ in waiting]) - (ends - counts), counts)
+            starts = np.repeat(places - (ends - counts), counts)
             words[starts + np.arange(ends[-1])] = filled
         return words
 
