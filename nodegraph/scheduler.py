@@ -17,8 +17,9 @@ resolves c, cached as well, and nothing below a runs.  If not, b is demanded, ha
 demanded step whose input is known but not at hand demands that input: it is loaded, or computed again in turn.
 
 Workers are plain daemon threads.  One that finishes a step takes the newest ready step itself, so a chain runs in one
-thread without hand-over, and depth comes before breadth, which keeps few values alive.  A step that does not answer to
-a cancel is left behind with its thread after a second: the run ends without it.
+thread without hand-over, and depth comes before breadth, which keeps few values alive.  Others join once a node has run
+for two milliseconds, or nodes typically take a fifth of one: handing over trivial nodes would cost more than they do.
+A step that does not answer to a cancel is left behind with its thread after a second: the run ends without it.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ from nodegraph.publish import Publisher
 log = logging.getLogger("nodegraph.run")
 
 GRACE_SECONDS = 0.9
+_LOOK_SECONDS = 2e-3
+_PATIENT_SECONDS = 20e-3
+_SHARE_SECONDS = 2e-4
 
 
 class Scheduler:
@@ -102,6 +106,7 @@ class Scheduler:
         self._ready: list[int] = []
         self._open = 0
         self._idle = 0
+        self._typical = 0.0
         self._running: set[int] = set()
         self._workers = 0
         self._over = False
@@ -130,7 +135,8 @@ class Scheduler:
                 if want is not None and self.plan.digests[want] is not None:
                     self._demand(want)
                 self._tell()
-                self._spawn()
+                if self._ready:
+                    self._start_worker()
             while not self._wait():
                 pass
         except KeyboardInterrupt:
@@ -154,8 +160,10 @@ class Scheduler:
             busy = self._open or self._telling
             if busy and self._crash is None and not self._cancel.is_set():
                 # A wait without end could not see a cancel that is set from another thread.
-                self._progressed.wait(0.1)
+                self._progressed.wait(_LOOK_SECONDS if self._ready else _PATIENT_SECONDS)
                 busy = self._open or self._telling
+                if self._ready and self._worth_sharing():
+                    self._share()
             return not busy or self._crash is not None or self._cancel.is_set()
 
     def _wind_down(self) -> None:
@@ -261,17 +269,24 @@ class Scheduler:
 
     def _push(self, index: int) -> None:
         self._ready.append(index)
-        if self._idle:
-            self._work_waits.notify()
 
-    def _spawn(self) -> None:
-        """Start workers while there is more to do than they take."""
+    def _worth_sharing(self) -> bool:
+        """Say whether nodes take long enough that handing them to another thread costs less than it gains."""
+        if self._typical > _SHARE_SECONDS:
+            return True
+        now = time.perf_counter() - self._zero
+        return any(now - self._begun[index] > _LOOK_SECONDS for index in self._running)
+
+    def _share(self) -> None:
+        """Wake workers, and start more, while there is more to do than they take."""
+        self._work_waits.notify(len(self._ready))
         while self._workers < self._jobs and len(self._ready) > self._idle:
-            self._workers += 1
-            self._idle += 1
-            threading.Thread(
-                target=self._work, args=(self._workers,), daemon=True, name=f"node-{self._workers}"
-            ).start()
+            self._start_worker()
+
+    def _start_worker(self) -> None:
+        self._workers += 1
+        self._idle += 1
+        threading.Thread(target=self._work, args=(self._workers,), daemon=True, name=f"node-{self._workers}").start()
 
     def _let_go(self, index: int) -> None:
         """A step is settled: it needs its inputs' values no more; its own stay only for those who may."""
@@ -364,7 +379,9 @@ class Scheduler:
                         continue
                     self._idle -= 1
                     self._running.add(index)
-                    self._spawn()
+                    self._begun[index] = time.perf_counter() - self._zero
+                    if self._ready and self._typical > _SHARE_SECONDS:
+                        self._share()
                     self._worker[index] = number
                     self._lock.release()
                     try:
@@ -401,6 +418,7 @@ class Scheduler:
             if outcome.record is not None:
                 self.plan.record[index] = outcome.record
                 self._seconds[index] = outcome.record.seconds
+                self._typical += 0.1 * (outcome.record.seconds - self._typical)
                 self._computed[index] = 1
             self._settle(index, "computed" if self._computed[index] else "cached")
             if new:
