@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 from xxhash import xxh3_128_digest
 
-from nodegraph.porttypes import describe, field_names, named
+from nodegraph.porttypes import field_names, key_of, named
 
 Array = npt.NDArray[Any]
 
@@ -148,11 +148,11 @@ def _children(item: Any) -> tuple[Any, ...] | None:
 def _digest_of(item: Any, memo: dict[int, bytes]) -> bytes:
     if isinstance(item, np.ndarray):
         return _array_digest(item)
-    parts = [b"T" if type(item) is tuple else b"O" + describe(type(item)).encode()]
     names = field_names(type(item))
     children = _children(item)
     if children is None:
         raise _refuse(item)
+    parts = [b"T" if names is None else b"O" + key_of(type(item)).encode()]
     for position, child in enumerate(children):
         parts.append(names[position].encode() if names else b"")
         digest = memo.get(id(child)) if _children(child) is not None else _leaf_digest(child)
@@ -228,7 +228,7 @@ def _row(item: Any, places: dict[int, int], arrays: list[Array]) -> Any:
     names = field_names(type(item))
     if names is None:
         return ["t", cells]
-    return ["o", describe(type(item)), dict(zip(names, cells, strict=True))]
+    return ["o", key_of(type(item)), dict(zip(names, cells, strict=True))]
 
 
 def _leaf_row(item: Any) -> Any:

@@ -31,47 +31,53 @@ T = TypeVar("T", bound=type)
 BUILTIN: dict[str, type] = {"Boolean": bool, "Integer": int, "Number": float, "Text": str, "Array": np.ndarray}
 """The port types that need no declaration, by name."""
 
-_by_name: dict[str, type] = dict(BUILTIN)
-_names: dict[type, str] = {cls: name for name, cls in BUILTIN.items()}
+_by_key: dict[str, type] = dict(BUILTIN)
+_keys: dict[type, str] = {cls: name for name, cls in BUILTIN.items()}
 _fields: dict[type, tuple[str, ...]] = {}
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
 def port_type(cls: T) -> T:
-    """Declare a class as a port type: make it a frozen dataclass and register it under its name.
+    """Declare a class as a port type: make it a frozen dataclass and register it.
 
-    Declaring the same class again (a reloaded module, a notebook cell) replaces the earlier declaration; a class of
-    the same name from another module raises `PluginError`, naming both.
+    Two plugins may use one name: values are stored under the full name, with the module.  Declaring the same class
+    again (a reloaded module, a notebook cell) replaces the earlier declaration.
+
+    Raises:
+        PluginError: the class is a dataclass already, and not a frozen one.
     """
     if "__dataclass_params__" not in cls.__dict__:
         cls = dataclasses.dataclass(frozen=True, eq=False)(cls)  # type: ignore[assignment]
     if not cls.__dataclass_params__.frozen:  # type: ignore[attr-defined]
         raise PluginError(f"port type '{cls.__name__}' ({cls.__module__}): must be a frozen dataclass")
-    name = cls.__name__
-    known = _by_name.get(name)
-    if known is not None and (known.__module__, known.__qualname__) != (cls.__module__, cls.__qualname__):
-        raise PluginError(
-            f"port type '{name}' ({cls.__module__}): the name is taken by '{known.__module__}'; choose another"
-        )
-    _by_name[name] = cls
-    _names[cls] = name
+    key = f"{cls.__module__}.{cls.__qualname__}"
+    _by_key[key] = cls
+    _keys[cls] = key
     _fields[cls] = tuple(field.name for field in dataclasses.fields(cls))
     return cls
 
 
 def is_port_type(cls: object) -> bool:
     """Say whether values of `cls` may travel on a wire."""
-    return isinstance(cls, type) and cls in _names
+    return isinstance(cls, type) and cls in _keys
 
 
 def describe(cls: type) -> str:
-    """Return the registered name of a port type (its class name where it is none)."""
-    return _names.get(cls, cls.__name__)
+    """Return the name of a type as people write it: the class name, or that of the built-in."""
+    return _keys[cls] if cls in BUILTIN.values() else cls.__name__
+
+
+def key_of(cls: type) -> str:
+    """Return the name that stored values carry: with the module, so that no two types share it."""
+    return _keys[cls]
 
 
 def named(name: str) -> type | None:
-    """Return the port type registered under `name`, or None."""
-    return _by_name.get(name)
+    """Return the port type of that name, with or without its module; None where there is none, or more than one."""
+    if name in _by_key:
+        return _by_key[name]
+    found = [cls for cls in _by_key.values() if cls.__name__ == name]
+    return found[0] if len(found) == 1 else None
 
 
 def field_names(cls: type) -> tuple[str, ...] | None:
@@ -81,7 +87,7 @@ def field_names(cls: type) -> tuple[str, ...] | None:
 
 def all_types() -> Iterator[tuple[str, type]]:
     """Yield (name, class) of every declared port type, sorted by name."""
-    yield from sorted(_by_name.items())
+    yield from sorted(((describe(cls), cls) for cls in _by_key.values()), key=lambda item: (item[0], key_of(item[1])))
 
 
 def summary(cls: type) -> str:

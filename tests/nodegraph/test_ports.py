@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nodegraph import Family, Graph, GraphError, node, port_type
+from nodegraph import Family, Graph, GraphError, codec, node, port_type
 from nodegraph.cache import Cache
 from nodegraph.errors import PluginError
 from nodegraph.plugins import Registry
@@ -63,7 +63,7 @@ def test_nothing_else_is_converted(value: Any, target: type) -> None:
         conform(value, target)
 
 
-def test_declaring_a_type_anew_replaces_it_and_a_stranger_is_refused() -> None:
+def test_declaring_a_type_anew_replaces_it_and_a_stranger_may_have_its_name() -> None:
     @port_type
     class Once:
         """First."""
@@ -80,10 +80,13 @@ def test_declaring_a_type_anew_replaces_it_and_a_stranger_is_refused() -> None:
         y: float = 0.0
 
     assert named("Once") is not first
-    Once.__module__ = "elsewhere"
-    stranger = type("Once", (), {"__module__": "elsewhere", "__annotations__": {"x": float}})
-    with pytest.raises(PluginError, match=r"port type 'Once' \(elsewhere\): the name is taken by"):
-        port_type(stranger)
+    assert named("Once") is Once
+    stranger = port_type(type("Once", (), {"__module__": "elsewhere", "__annotations__": {"x": float, "y": float}}))
+    assert named("Once") is None
+    assert named("elsewhere.Once") is stranger
+    # What the cache holds of one is never taken for the other.
+    assert codec.seal(Once(1.0, 2.0)) != codec.seal(stranger(1.0, 2.0))
+    assert type(codec.decode(codec.encode(stranger(1.0, 2.0)))) is stranger
     with pytest.raises(PluginError, match="must be a frozen dataclass"):
         port_type(dataclasses.make_dataclass("Thawed", [("x", float)]))
 
