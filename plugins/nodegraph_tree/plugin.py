@@ -8,6 +8,12 @@ from nodegraph import Family, Preview, hookimpl
 
 NODE_MODULES = (
     "disc",
+    "curve",
+    "river",
+    "road",
+    "ridge",
+    "contour",
+    "landform",
     "image_quad",
     "image_curve",
     "from_elevation",

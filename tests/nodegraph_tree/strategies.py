@@ -21,6 +21,7 @@ from nodegraph_tree.basic import Constant, Plane
 from nodegraph_tree.blend import blend
 from nodegraph_tree.by_terrain import by_terrain
 from nodegraph_tree.carve import Carve
+from nodegraph_tree.curve import curve
 from nodegraph_tree.detail import LevelOfDetail
 from nodegraph_tree.disc import Disc, NoiseField, Relief
 from nodegraph_tree.falloff import derivative, fall_off, steepest_between
@@ -28,7 +29,11 @@ from nodegraph_tree.from_elevation import from_elevation
 from nodegraph_tree.function import ABSENT, Bounds, Box, ElevationFunction, Points, Sample
 from nodegraph_tree.image_curve import image_curve
 from nodegraph_tree.image_quad import image_quad
+from nodegraph_tree.landform import crater, lake, mesa
 from nodegraph_tree.replace import Replace
+from nodegraph_tree.ridge import ridge
+from nodegraph_tree.river import river
+from nodegraph_tree.road import road
 from nodegraph_tree.warp import bend, distort, twist
 
 CENTRE = (150_000.0, 150_000.0)
@@ -137,6 +142,27 @@ PRIMITIVES += [
     st.builds(_image_grid, _X, _Y, _SEEDS, _INTERPOLATIONS),
     st.builds(_image_curve, _X, _Y, _places(-300, 300), _places(-300, 300), st.floats(50, 250), _SEEDS),
 ]
+
+
+def _skeletal() -> list[ElevationFunction]:
+    """Return one primitive of every kind that has a curve or a contour for its skeleton."""
+    x, y = CENTRE
+    line = ((x - 1500.0, y - 600.0, 60.0), (x - 200.0, y + 300.0, 35.0), (x + 1300.0, y - 100.0, 10.0))
+    branch = ((x - 500.0, y + 1400.0, 90.0), (x - 300.0, y + 800.0, 60.0), (x - 200.0, y + 300.0, 35.0))
+    profiles = (((-60.0, 25.0), (0.0, 0.0), (60.0, 25.0)), ((-90.0, 40.0), (0.0, -5.0), (80.0, 30.0)))
+    return [
+        curve(points=line, sections=profiles, radius=400.0),
+        curve(points=line, kind="polyline", sections=profiles[:1], radius=250.0, core=0.3),
+        river(points=line, tributaries=(branch,), width=(40.0, 70.0), radius=450.0),
+        road(points=line, width=12.0, radius=120.0),
+        ridge(points=line, spurs=(branch,), radius=600.0, roughness=30.0),
+        lake(centre=(x + 300.0, y - 400.0), radius=600.0, seed=3),
+        mesa(centre=(x - 500.0, y + 200.0), radius=500.0, seed=4),
+        crater(centre=(x + 100.0, y + 500.0), radius=450.0, peak=0.3, seed=5),
+    ]
+
+
+PRIMITIVES += [st.sampled_from(_skeletal())]
 
 Trees = st.SearchStrategy[ElevationFunction]
 

@@ -22,6 +22,7 @@ SCENE = blend([GROUND, HILL, KNOLL])
 SURFACE = Elevation((100 + 20 * DICE.random((18, 24))).astype(np.float32), EXTENT)
 MASK = Mask(DICE.random((18, 24), np.float32), EXTENT)
 LAYERS = Layers(("ground", "water"), (SCENE, Constant(20.0)))
+LINE = [[0, 0], [200, 40], [420, 0]]
 GRID = {"extent": [0, 0, 480, 360], "cell_size": 20}
 
 
@@ -35,6 +36,20 @@ EXAMPLES: dict[str, list[Example]] = {
     "tree.blend": cases({}, parts=[GROUND, HILL, KNOLL]),
     "tree.carve": cases({}, {"smooth": 8.0}, base=SCENE, tools=[KNOLL]),
     "tree.constant": cases({"height": 12.0}),
+    "tree.contour": [
+        *cases({"points": [[100, 0], [0, 120], [-90, 0], [0, -80]], "sections": [[[0, 0], [1, 5]]]}),
+        *cases({"radius": [90, 110, 100], "sections": [[[0, 0], [1, 5]], [[0, 0], [1, 9]]], "angles": [0, 90]}),
+        *cases(
+            {"centre": [5, 6], "height": 4, "core": 0.5, "reach": 2, "sections": [[[0, 0], [1, 5]], [[0, 0], [1, 8]]]}
+        ),
+    ],
+    "tree.curve": [
+        *cases({"points": LINE}, {"points": [[0, 0, 5], [200, 50, 3], [400, 0, 1]], "kind": "polyline", "radius": 60}),
+        *cases(
+            {"points": LINE, "sections": [[[-5, 1], [0, 0], [5, 1]], [[-9, 2], [0, 0], [9, 2]]], "positions": [0, 1]}
+        ),
+        *cases({"points": LINE, "sections": [[[-5, 1], [0, 0], [5, 1]]], "tolerance": 0.1, "core": 0.2}),
+    ],
     "tree.disc": [
         *cases({"radius": 500}, {"style": "hills", "centre": [30, 40], "seed": 3}),
         *cases({"kind": "ridged", "amplitude": 80, "wavelength": 300, "gain": 0.4, "fall_off": "quintic"}),
@@ -68,6 +83,15 @@ EXAMPLES: dict[str, list[Example]] = {
         },
         function=HILL,
     ),
+    "tree.crater": [
+        *cases({}, {"radius": 90, "peak": 0.3, "seed": 2}, {"height": 5, "rim": 0.1, "depth": 0.3, "reach": 2}),
+        *cases({"centre": [200, 150], "radius": 60}, terrain=SCENE),
+    ],
+    "tree.lake": [
+        *cases({}, {"points": [[100, 0], [0, 120], [-90, 0], [0, -80]]}, {"radius": 90, "seed": 2, "level": 4}),
+        *cases({"centre": [200, 150], "radius": 60}, terrain=SCENE),
+    ],
+    "tree.mesa": cases({}, {"points": [[100, 0], [0, 120], [-90, 0], [0, -80]]}, {"radius": 90, "seed": 2}),
     "tree.layer": cases({"name": "ground"}, {"name": "water"}, layers=LAYERS),
     "tree.layers": cases({"names": ["ground", "top"]}, {"names": ["a", "b"]}, functions=[SCENE, KNOLL]),
     "tree.level_of_detail": cases({}, {"start": 0.1, "end": 0.5}, coarse=GROUND, fine=SCENE),
@@ -81,6 +105,18 @@ EXAMPLES: dict[str, list[Example]] = {
         {"points": [[0, 0], [300, 200]]}, {"points": [[0, 0], [300, 250]], "spacing": 10}, function=SCENE
     ),
     "tree.replace": cases({}, {"grow": True}, base=GROUND, layers=[HILL, KNOLL]),
+    "tree.ridge": cases(
+        {"points": LINE}, {"points": LINE, "spurs": [[[200, 0], [220, 300]]], "roughness": 20, "radius": 300}
+    ),
+    "tree.river": [
+        *cases({"points": LINE}, {"points": LINE, "tributaries": [[[150, 300], [200, 30]]], "depth": 3, "floor": 60}),
+        *cases({"points": LINE, "kind": "meander", "width": 9}, terrain=SCENE),
+        *cases({"points": LINE, "kind": "braided", "width": 40}, {"points": LINE, "kind": "stream", "width": [4, 8]}),
+    ],
+    "tree.road": [
+        *cases({"points": LINE}, {"points": LINE, "width": 9, "height": 4}),
+        *cases({"points": LINE}, terrain=SCENE),
+    ],
     "tree.sample": [
         *cases(GRID, {"extent": [0, 0, 480, 360], "rows": 9, "columns": 11, "crs": "EPSG:32616"}, function=SCENE),
         *cases({**GRID, "viewpoint": [100, 100], "view_range": 500}, function=SCENE),
