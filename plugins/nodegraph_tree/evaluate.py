@@ -20,6 +20,14 @@ BLOCK = 128
 
 Edges = tuple[float, float, float, float]
 
+# What every node that samples a grid asks for.
+Area = Annotated[Edges | None, Param("Outer edges (west, south, east, north); none: that of `like`.", unit="m")]
+CellSize = Annotated[float | None, Param("Side of a cell; none: from rows and columns.", gt=0, unit="m")]
+Rows = Annotated[int | None, Param("Number of rows, with columns in place of a cell size.", ge=1)]
+Columns = Annotated[int | None, Param("Number of columns.", ge=1)]
+System = Annotated[str, Param("Coordinate reference system that the metres are in, such as EPSG:32616.")]
+Detail = Annotated[float, Param("Level of detail kappa; 1 is all of it.", ge=0, le=1)]
+
 
 class Sampled(NamedTuple):
     """What `sample` gives: the terrain, void outside its domain, and how much each cell belongs to it."""
@@ -52,14 +60,12 @@ def sample(
     like: Grid | None = None,
     detail_map: Raster | None = None,
     *,
-    extent: Annotated[
-        Edges | None, Param("Outer edges (west, south, east, north); none: that of `like`.", unit="m")
-    ] = None,
-    cell_size: Annotated[float | None, Param("Side of a cell; none: from rows and columns.", gt=0, unit="m")] = None,
-    rows: Annotated[int | None, Param("Number of rows, with columns in place of a cell size.", ge=1)] = None,
-    columns: Annotated[int | None, Param("Number of columns.", ge=1)] = None,
-    crs: Annotated[str, Param("Coordinate reference system that the metres are in, such as EPSG:32616.")] = "",
-    detail: Annotated[float, Param("Level of detail kappa; 1 is all of it.", ge=0, le=1)] = 1.0,
+    extent: Area = None,
+    cell_size: CellSize = None,
+    rows: Rows = None,
+    columns: Columns = None,
+    crs: System = "",
+    detail: Detail = 1.0,
     viewpoint: Annotated[
         tuple[float, float] | None, Param("Where one looks from (x, y): detail falls with the distance.", unit="m")
     ] = None,
@@ -159,14 +165,12 @@ def normals(
     function: ElevationFunction,
     like: Grid | None = None,
     *,
-    extent: Annotated[
-        Edges | None, Param("Outer edges (west, south, east, north); none: that of `like`.", unit="m")
-    ] = None,
-    cell_size: Annotated[float | None, Param("Side of a cell; none: from rows and columns.", gt=0, unit="m")] = None,
-    rows: Annotated[int | None, Param("Number of rows, with columns in place of a cell size.", ge=1)] = None,
-    columns: Annotated[int | None, Param("Number of columns.", ge=1)] = None,
-    crs: Annotated[str, Param("Coordinate reference system that the metres are in, such as EPSG:32616.")] = "",
-    detail: Annotated[float, Param("Level of detail kappa; 1 is all of it.", ge=0, le=1)] = 1.0,
+    extent: Area = None,
+    cell_size: CellSize = None,
+    rows: Rows = None,
+    columns: Columns = None,
+    crs: System = "",
+    detail: Detail = 1.0,
     context: Context,
 ) -> Normals:
     """Sample the upward unit normals of a construction tree, n = (-df/dx, -df/dy, 1) / |...|, from its exact gradient.
@@ -199,7 +203,7 @@ def query(
     spacing: Annotated[
         float | None, Param("Distance between samples along the line; none: at the points only.", gt=0, unit="m")
     ] = None,
-    detail: Annotated[float, Param("Level of detail kappa; 1 is all of it.", ge=0, le=1)] = 1.0,
+    detail: Detail = 1.0,
     context: Context,
 ) -> Profile:
     """Ask a construction tree at points, or along a line: a profile.

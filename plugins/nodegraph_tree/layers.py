@@ -10,7 +10,7 @@ import numpy.typing as npt
 from nodegraph import Context, Forecast, Param, node, port_type, whole
 from nodegraph_terrain.forecasts import Outline
 from nodegraph_terrain.raster import Elevation, Extent, Grid, Mask, Raster
-from nodegraph_tree.evaluate import Edges, grid_of, sample_grid
+from nodegraph_tree.evaluate import Area, CellSize, Columns, Detail, Edges, Rows, System, grid_of, sample_grid
 from nodegraph_tree.function import THRESHOLD, ElevationFunction
 
 Singles = npt.NDArray[np.float32]
@@ -98,14 +98,12 @@ def sample_layer(
     like: Grid | None = None,
     *,
     name: Annotated[str, Param("Name of the material.", min_length=1)] = "ground",
-    extent: Annotated[
-        Edges | None, Param("Outer edges (west, south, east, north); none: that of `like`.", unit="m")
-    ] = None,
-    cell_size: Annotated[float | None, Param("Side of a cell; none: from rows and columns.", gt=0, unit="m")] = None,
-    rows: Annotated[int | None, Param("Number of rows, with columns in place of a cell size.", ge=1)] = None,
-    columns: Annotated[int | None, Param("Number of columns.", ge=1)] = None,
-    crs: Annotated[str, Param("Coordinate reference system that the metres are in, such as EPSG:32616.")] = "",
-    detail: Annotated[float, Param("Level of detail kappa; 1 is all of it.", ge=0, le=1)] = 1.0,
+    extent: Area = None,
+    cell_size: CellSize = None,
+    rows: Rows = None,
+    columns: Columns = None,
+    crs: System = "",
+    detail: Detail = 1.0,
     context: Context,
 ) -> SampledLayer:
     """Sample one of several layers: its surface, how thick it is, and where it is on top.
