@@ -2,7 +2,7 @@
 
 All of one run, on the device that `auto` chooses.  The scenes have as many primitives and operators as those of Table 1
 of Génevaux 2015 (doi:10.1111/cgf.12530), whose times on a GTX 670 stand beside ours: they are for meshes of 5 to 80
-million calls of f, not for one picture, so compare the rates.
+million calls of f, not for one picture, so compare the rates.  A call is one primitive at one sample.
 
     uv run --group bench python benchmarks/tree.py [--size 1024] [--repeat 3]
 """
@@ -17,17 +17,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nodegraph import Context, codec
+from nodegraph import Context
 from nodegraph.opencl import Device, choose, to_host
 from nodegraph_terrain.raster import Extent
-from nodegraph_tree.affine import Affine, placed
+from nodegraph_tree.affine import Affine
 from nodegraph_tree.blend import blend
 from nodegraph_tree.carve import Carve
 from nodegraph_tree.device import Emitter, Frame, sample_on_device
 from nodegraph_tree.disc import Disc, NoiseField, Relief
 from nodegraph_tree.evaluate import sample_grid
-from nodegraph_tree.function import EVERYWHERE, ElevationFunction, walk
+from nodegraph_tree.function import EVERYWHERE, ElevationFunction
 from nodegraph_tree.replace import replace
+from nodegraph_tree.statistics import tree_statistics
 
 TABLE_1 = {
     "figure 1": (2000.0, 70, 9, 5, 14),
@@ -48,9 +49,8 @@ def scene(side: float, primitives: int, operators: int, *, cover: float = 10.0, 
     for number in range(primitives - 1):
         x, y = dice.uniform(0, side, 2).tolist()
         relief = Relief("ridged" if number % 3 == 0 else "fbm", 0.05 * radius, radius, seed=number)
-        disc = Disc(0.0, 0.0, radius * float(dice.uniform(0.7, 1.3)), float(dice.uniform(0, 0.1 * radius)), relief)
-        moved = Disc(x, y, disc.radius, disc.height, relief)
-        leaves.append(placed(disc, position=(x, y), rotation=float(dice.uniform(0, 360))) if number % 2 else moved)
+        size, height = radius * float(dice.uniform(0.7, 1.3)), float(dice.uniform(0, 0.1 * radius))
+        leaves.append(Disc(x, y, size, height, relief))
     ground: ElevationFunction = NoiseField(0.0, 0.0, 0.0, Relief("fbm", 0.02 * side, side / 3, seed=seed))
     parts = np.array_split(np.arange(len(leaves)), max(1, operators // 2))
     for number, part in enumerate(parts):
@@ -91,14 +91,6 @@ def discs(count: int, side: float, cover: float) -> list[ElevationFunction]:
     return [Disc(float(x), float(y), radius, 0.0, relief) for x, y in dice.uniform(0, side, (count, 2))]
 
 
-def calls(root: ElevationFunction) -> tuple[int, int, int]:
-    """Return primitives, operators and bytes of a tree."""
-    nodes = list(walk(root))
-    encoded = codec.encode(root)
-    size = len(str(encoded.structure)) + sum(array.nbytes for array in encoded.arrays)
-    return sum(1 for item in nodes if not item.parts), sum(1 for item in nodes if item.parts), size
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1024)
@@ -116,9 +108,12 @@ def main() -> int:
     for name, (side, primitives, operators, million, milliseconds) in TABLE_1.items():
         root, extent = scene(side, primitives, operators), Extent(0, 0, side, side)
         seconds = median_seconds(on_device(root, extent, size, device), options.repeat)
-        leaves, inner, weight = calls(root)
-        rate = 1e3 * million / milliseconds
-        print(f"{name:12}{leaves:11}{inner:11}{weight:9}{seconds * 1e3:9.0f}{samples / seconds:12.2f}{rate:16.0f}")
+        known = tree_statistics(root, extent=(0, 0, side, side), rows=size, columns=size)
+        asked = known.calls_per_sample * samples
+        print(
+            f"{name:12}{known.primitives:11}{known.operators:11}{known.bytes:9}{seconds * 1e3:9.0f}"
+            f"{samples / seconds:12.2f}{asked:10.1f}{asked / seconds:10.0f}{1e3 * million / milliseconds:16.0f}"
+        )
 
     side, primitives, operators, _, _ = TABLE_1["figure 22"]
     root, extent = scene(side, primitives, operators), Extent(0, 0, side, side)
