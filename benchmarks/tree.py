@@ -103,7 +103,8 @@ def main() -> int:
     size, samples = options.size, options.size**2 / 1e6
     print(f"{device.info}, {size} x {size} samples, medians of {options.repeat}\n")
     print(
-        f"{'scene':12}{'primitives':>11}{'operators':>11}{'bytes':>9}{'ms':>9}{'Msamples/s':>12}{'paper Mcalls/s':>16}"
+        f"{'scene':12}{'primitives':>11}{'operators':>11}{'bytes':>9}{'ms':>9}"
+        f"{'Msamples/s':>12}{'Mcalls':>10}{'Mcalls/s':>10}{'paper Mcalls/s':>16}"
     )
     for name, (side, primitives, operators, million, milliseconds) in TABLE_1.items():
         root, extent = scene(side, primitives, operators), Extent(0, 0, side, side)
