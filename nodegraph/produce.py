@@ -157,8 +157,8 @@ class Producer:
         step, plan = self._plan.network.steps[index], self._plan
         key = plan.key[index] or b""
         sizes = tuple([codec.nbytes(value) for value in values])
-        restore = seconds + self._cost_of_inputs(step)
-        held = sum(sizes) + sum(sum(record.sizes) for _, source, _ in step.inputs if (record := plan.record[source]))
+        cost, held = self._weigh_inputs(step)
+        restore, held = seconds + cost, held + sum(sizes)
         host: Values | None = values
         if plan.device is not None and any(map(is_on_device, values)):
             if handed_on and restore <= load_seconds(sum(sizes)):
@@ -179,19 +179,21 @@ class Producer:
         plan.cache.keep(record, host if host is not None else (None,) * len(values))
         return self._publish(index, Outcome("computed", values, digests, record), record)
 
-    def _cost_of_inputs(self, step: Step) -> float:
-        """Return what having the inputs again would take where they are not stored, s.
+    def _weigh_inputs(self, step: Step) -> tuple[float, int]:
+        """Return what having the inputs again would take where they are not stored, s, and their bytes.
 
         An input that several steps consume counts by its share for each, as area flow does in technology mapping: a
         chain or a tree is counted exactly, and shared ancestors are not counted once for every path to them, which
         would grow with the depth of a graph without limit.
         """
-        plan, cost = self._plan, 0.0
+        plan, cost, held = self._plan, 0.0, 0
         for _, source, _ in step.inputs:
             record = plan.record[source]
-            if record is not None and not record.worth_storing:
-                cost += record.restore / len(plan.network.consumers[source])
-        return cost
+            if record is not None:
+                held += sum(record.sizes)
+                if not record.worth_storing:
+                    cost += record.restore / len(plan.network.consumers[source])
+        return cost, held
 
     def _compare(self, index: int, digests: tuple[bytes, ...]) -> None:
         """Compare what was computed with what was remembered, where it should be the same."""

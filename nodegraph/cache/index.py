@@ -117,7 +117,7 @@ class Record:
     @property
     def worth_storing(self) -> bool:
         """True where loading the values from disk is faster than having them computed again."""
-        return self.restore > load_seconds(sum(self.sizes))
+        return self.restore > _FIXED_SECONDS and self.restore > load_seconds(sum(self.sizes))
 
     def body(self) -> bytes:
         """Return the record as JSON bytes, without its key."""
