@@ -33,7 +33,8 @@ def test_values_and_slopes_stay_within_bounds(tree: ElevationFunction, window: W
     bounds = tree.bounds(window.box, float(window.points.detail))
     assert np.isfinite(sample.height).all()
     assert (sample.weight >= 0).all()
-    here, ground = sample.weight > 0, sample.weight >= THRESHOLD
+    # A slope of 1e-14, the rounding of a difference, may let a weight of 1e-28 through where the bounds know of none.
+    here, ground = sample.weight > 1e-12, sample.weight >= THRESHOLD
     room = 1e-6 * max(1.0, np.abs(sample.height).max())
     assert sample.height[here].min(initial=np.inf) >= bounds.low - room
     assert sample.height[here].max(initial=-np.inf) <= bounds.high + room
