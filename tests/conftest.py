@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 hypothesis.settings.register_profile(
     "nodegraph",
     deadline=None,
+    # A check of a change must tell of that change; new examples are sought wherever people run the tests.
+    derandomize=bool(os.environ.get("CI")),
     max_examples=60,
     suppress_health_check=[hypothesis.HealthCheck.too_slow, hypothesis.HealthCheck.data_too_large],
 )
