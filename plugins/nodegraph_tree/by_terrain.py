@@ -17,6 +17,8 @@ from nodegraph_tree.presence import presence, presence_gradient, presence_slope,
 if TYPE_CHECKING:
     from nodegraph_tree.device import Emitter, Frame
 
+EPSILON = float(np.finfo(np.float64).eps)
+
 _ALTITUDE, _TERRAIN = (Kernel(f"tree_by_{name}", FOLDER / "operators.cl") for name in ("altitude", "terrain"))
 _ENTER, _LEAVE = Kernel("tree_enter", FOLDER / "basic.cl"), Kernel("tree_leave", FOLDER / "basic.cl")
 
@@ -189,6 +191,8 @@ class ByTerrain(ElevationFunction):
             # A mean of slopes along the axes, where the whole neighbourhood is terrain; else the heights are a guess.
             slope = around.slope if around.weight_low >= 0.5 else inf
             slope = min(sqrt(2) * slope, sqrt(0.5) * max(around.high - around.low, 0.0) / self.span)
+            # Level ground measures a slope of rounding's size, which opens a hat that begins at 0 by as little.
+            slope += 64 * EPSILON * (1 + max(abs(around.low), abs(around.high))) / self.span
             low, high, steep = self.steepness.between(0.0, slope)
             least *= low * float(presence(np.array(around.weight_low))) ** 4
             most *= high
