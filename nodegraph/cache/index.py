@@ -14,7 +14,6 @@ A damaged database is set aside and begun anew: what it knew is computed again.
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import sqlite3
 import time
@@ -24,13 +23,14 @@ from pathlib import Path
 from threading import RLock
 from typing import Any, NamedTuple, TypeVar
 
+import orjson
 from xxhash import xxh3_64_digest
 
 log = logging.getLogger("nodegraph.cache")
 T = TypeVar("T")
 
 _SCHEMA = """
-CREATE TABLE IF NOT EXISTS results (key BLOB PRIMARY KEY, body BLOB NOT NULL, sum BLOB NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS results (key BLOB PRIMARY KEY, body BLOB NOT NULL, sum BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS histories (graph TEXT PRIMARY KEY, body BLOB NOT NULL, sum BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS files (path TEXT PRIMARY KEY, body BLOB NOT NULL, sum BLOB NOT NULL);
 CREATE TABLE IF NOT EXISTS stored (
@@ -49,7 +49,6 @@ _DAMAGED = {
 _DAMAGED_IO = {sqlite3.SQLITE_IOERR_READ, sqlite3.SQLITE_IOERR_SHORT_READ, sqlite3.SQLITE_IOERR_CORRUPTFS}
 _BUSY = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 _BUSY_SECONDS = 20.0
-_to_json = json.JSONEncoder(separators=(",", ":")).encode
 _MISSES_PER_LOOK, _KEYS_PER_MISS = 32, 30
 _TABLES = ("results", "histories", "files")
 _REFUSED = (sqlite3.DatabaseError, UnicodeDecodeError)
@@ -134,12 +133,12 @@ class Record:
             self.peak,
             self.shapes,
         )
-        return _to_json(data).encode()
+        return orjson.dumps(data)
 
     @classmethod
     def parse(cls, key: bytes, body: bytes) -> Record:
         """Return the record that `body` describes."""
-        digests, sizes, seconds, restore, files, recipe, peak, shapes = json.loads(body)
+        digests, sizes, seconds, restore, files, recipe, peak, shapes = orjson.loads(body)
         type_id, version, code, params, inputs, read, device = recipe
         return cls(
             key,
@@ -311,7 +310,14 @@ class Index:
 
     def add_results(self, records: Iterable[Record]) -> None:
         """Remember results, in one transaction."""
-        rows = [(record.key, body := record.body(), _sum(record.key, body)) for record in records]
+        rows = []
+        for record in records:
+            try:
+                body = record.body()
+            except TypeError as error:  # the name of a file need not be text
+                log.warning("a result of %s is not remembered (%s)", record.recipe.type, error)
+                continue
+            rows.append((record.key, body, _sum(record.key, body)))
         if self._keys is not None:
             self._keys.update(row[0] for row in rows)
         self._write(lambda connection: _many(connection, "INSERT OR REPLACE INTO results VALUES (?, ?, ?)", rows))
@@ -320,13 +326,13 @@ class Index:
         """Return the key of each node in the graph's last run."""
 
         def parse(body: bytes) -> dict[str, bytes]:
-            return {id: bytes.fromhex(key) for id, key in json.loads(body).items()}
+            return {id: bytes.fromhex(key) for id, key in orjson.loads(body).items()}
 
         return self._get("histories", "graph", graph, parse) or {}
 
     def set_history(self, graph: str, keys: Mapping[str, bytes]) -> None:
         """Remember the key of each node of a graph."""
-        body = _to_json({id: key.hex() for id, key in keys.items()}).encode()
+        body = orjson.dumps({id: key.hex() for id, key in keys.items()})
         row = (graph, body, _sum(graph, body))
         self._write(lambda connection: _many(connection, "INSERT OR REPLACE INTO histories VALUES (?, ?, ?)", [row]))
 
@@ -334,14 +340,14 @@ class Index:
         """Return size, times of change in ns and inode of a file as last read, and its digest, or None."""
 
         def parse(body: bytes) -> tuple[tuple[int, ...], bytes]:
-            *stamp, digest = json.loads(body)
+            *stamp, digest = orjson.loads(body)
             return tuple(map(int, stamp)), bytes.fromhex(digest)
 
         return self._get("files", "path", path, parse)
 
     def set_file(self, path: str, stamp: tuple[int, ...], digest: bytes) -> None:
         """Remember what a file held."""
-        body = json.dumps([*stamp, digest.hex()]).encode()
+        body = orjson.dumps([*stamp, digest.hex()])
         row = (path, body, _sum(path, body))
         self._write(lambda connection: _many(connection, "INSERT OR REPLACE INTO files VALUES (?, ?, ?)", [row]))
 
