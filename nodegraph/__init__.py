@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from nodegraph.errors import NodegraphError as NodegraphError
     from nodegraph.errors import RunError as RunError
     from nodegraph.files import File as File
+    from nodegraph.formats import Format as Format
     from nodegraph.graph import Graph as Graph
     from nodegraph.nodetypes import Forecast as Forecast
     from nodegraph.nodetypes import Node as Node
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from nodegraph.nodetypes import whole as whole
     from nodegraph.parameters import InputFile as InputFile
     from nodegraph.parameters import InputPath as InputPath
+    from nodegraph.parameters import OutputFile as OutputFile
     from nodegraph.parameters import OutputName as OutputName
     from nodegraph.parameters import Param as Param
     from nodegraph.plugins import Family as Family
@@ -40,9 +42,10 @@ _HOME = {
     "context": ("Context",),
     "errors": ("Cancelled", "GraphError", "NodeError", "NodegraphError", "RunError"),
     "files": ("File",),
+    "formats": ("Format",),
     "graph": ("Graph",),
     "nodetypes": ("Forecast", "Node", "halo", "node", "pointwise", "whole"),
-    "parameters": ("InputFile", "InputPath", "OutputName", "Param"),
+    "parameters": ("InputFile", "InputPath", "OutputFile", "OutputName", "Param"),
     "plugins": ("Family", "Migration", "Preview", "hookimpl"),
     "porttypes": ("port_type",),
 }

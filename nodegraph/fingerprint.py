@@ -5,6 +5,9 @@ their import statements, without importing anything), and the OpenCL files they 
 ``.cl``, beside the module, with the headers these include.  A package's ``__init__`` counts only where a name is
 imported from it, so that editing one module of a plugin leaves the nodes of the others alone.
 
+What a node runs without importing it, the readers and writers of the file formats it uses, is given beside it and
+counts in the same way, and by name: another function in the place of the first is another fingerprint.
+
 A node declared outside a file (a notebook cell, ``exec``) is fingerprinted by its byte code and that of the functions
 it calls there; what a function closes over counts everywhere.  Where a source was edited after it was imported, the
 files do not say what runs here: the fingerprint is then one that no other process has.
@@ -16,7 +19,7 @@ import ast
 import importlib.util
 import re
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -30,6 +33,8 @@ _INCLUDE = re.compile(rb'^\s*#\s*include\s*"([^"]+)"', re.MULTILINE)
 
 
 _Stamp = tuple[int, int, int, int]
+Code = tuple[Callable[..., Any], ...]
+"""Functions that compute a node beside its own: those of the file formats it uses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,33 +66,34 @@ class Fingerprints:
     def __init__(self, packages: Iterable[str]) -> None:
         self._packages = frozenset(packages)
         self._scans: dict[Path, _Scan] = {}
-        self._nodes: dict[int, _Known] = {}
+        self._nodes: dict[tuple[int, Code], _Known] = {}
 
-    def of(self, node: Node[..., Any]) -> bytes:
-        """Return the fingerprint of a node's code, 16 bytes.
+    def of(self, node: Node[..., Any], code: Code = ()) -> bytes:
+        """Return the fingerprint of a node's code, and of the further functions that it runs, 16 bytes.
 
         Costs a look at each file: a kernel that is edited meanwhile is compiled anew.
         """
-        known = self._nodes.get(id(node))
+        known = self._nodes.get((id(node), code))
         if known is None or known.node is not node or any(_stamp(path) != stamp for path, stamp in known.files):
-            known = self._nodes[id(node)] = self._compute(node)
+            known = self._nodes[id(node), code] = self._compute(node, code)
         return known.digest
 
-    def files(self, node: Node[..., Any]) -> list[Path]:
-        """Return the source files that the fingerprint of a node covers, sorted."""
+    def files(self, node: Node[..., Any], code: Code = ()) -> list[Path]:
+        """Return the source files that the fingerprint of a node and of further functions covers, sorted."""
         found: set[Path] = set()
-        for function in _implementations(node):
+        for function in (*_implementations(node), *code):
             if start := getattr(sys.modules.get(function.__module__), "__file__", None):
                 found |= self._closure(function.__module__, Path(start))
         return sorted(found)
 
-    def _compute(self, node: Node[..., Any]) -> _Known:
-        scans = [(path, scan) for path in self.files(node) if (scan := self._scan(path)) is not None]
+    def _compute(self, node: Node[..., Any], code: Code) -> _Known:
+        scans = [(path, scan) for path in self.files(node, code) if (scan := self._scan(path)) is not None]
         parts = [scan.digest for _, scan in scans]
+        parts += [f"{function.__module__}.{function.__qualname__}".encode() for function in code]
         names = {str(path) for path, _ in scans}
-        for function in _implementations(node):
+        for function in (*_implementations(node), *code):
             in_file = getattr(getattr(function, "__code__", None), "co_filename", "") in names
-            if not in_file or function.__closure__:
+            if not in_file or function.__closure__ or function in code:
                 parts.append(_function_digest(function, set(), everything=not in_file))
         if _is_stale(node, scans):
             parts.append(f"edited after its import at {node.declared_at}".encode())
@@ -257,7 +263,9 @@ def _content_digest(value: Any, user: FunctionType, seen: set[int], *, everythin
     value = value.function if isinstance(value, Node) else value
     if isinstance(value, FunctionType) and value.__module__ == user.__module__:
         return _function_digest(value, seen, everything=everything)
-    if isinstance(value, (str, bytes, int, float, complex, tuple, type(None))):
+    if isinstance(value, tuple):  # its text could hold addresses, those of functions for one
+        return b"(" + b",".join([_content_digest(item, user, seen, everything=everything) for item in value]) + b")"
+    if isinstance(value, (str, bytes, int, float, complex, type(None))):
         return repr(value).encode(errors="surrogatepass")
     return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', type(value).__qualname__)}".encode()
 

@@ -10,14 +10,15 @@ Linear in nodes plus links; no recursion along links, so a chain of any length i
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nodegraph import porttypes
 from nodegraph.errors import GraphError, PluginError, Problem, nearest
 from nodegraph.files import check_name
+from nodegraph.formats import Format, Use
 from nodegraph.migrate import migrate
 from nodegraph.nodetypes import InputPort, Node
 from nodegraph.parameters import Checked, InputFile, ParameterErrors
@@ -45,6 +46,7 @@ class Step:
         types: port types of its outputs, generic ones resolved.
         index: position in the network.
         files: paths it reads, by parameter.
+        code: what it runs beside its node: readers and writers of the file formats of its parameters.
     """
 
     id: str
@@ -56,6 +58,7 @@ class Step:
     types: tuple[type, ...] = ()
     index: int = -1
     files: dict[str, list[tuple[InputFile, Path]]] = field(default_factory=dict)
+    code: tuple[Callable[..., Any], ...] = ()
 
 
 @dataclass(slots=True)
@@ -357,13 +360,40 @@ class _Builder:
             paths = step.params[item.name]
             if item.input_file is not None:
                 flat = paths if isinstance(paths, (list, tuple)) else [paths]
-                step.files[item.name] = [(item.input_file, path) for path in flat if isinstance(path, Path)]
+                marked = [(item.input_file, path) for path in flat if isinstance(path, Path)]
+                step.files[item.name] = [(self._read_as(step, item.name, mark, path), path) for mark, path in marked]
         for item in parameters.output_files:
+            name = step.params[item.name]
+            if name is None or item.output_file is None:
+                continue
             try:
-                if step.params[item.name] is not None:
-                    check_name(step.params[item.name])
+                check_name(name)
             except ValueError as error:
                 self.problem(step.where, f"parameter '{item.name}': {error}")
+            else:
+                self._formats(step, item.name, item.output_file.type, name, "write")
+
+    def _read_as(self, step: Step, parameter: str, mark: InputFile, path: Path) -> InputFile:
+        """Return the mark of a file to read, with the sidecars that the reader of its format looks at."""
+        formats = self._formats(step, parameter, mark.type, path.name, "read")
+        more = tuple([suffix for item in formats for suffix in item.sidecars])
+        return replace(mark, sidecars=tuple(dict.fromkeys(mark.sidecars + more))) if more else mark
+
+    def _formats(self, step: Step, parameter: str, kind: type | None, name: str, use: Use) -> list[Format]:
+        """Return the formats that a file may get, and note their code in the step.
+
+        They are those of the process, whatever the graph's registry: nodes ask there, as they do when called by hand.
+        """
+        if kind is None:
+            return []
+        try:
+            found = registry().formats().candidates(kind, name, use)
+        except ValueError as error:
+            self.problem(step.where, f"parameter '{parameter}': {error}")
+            return []
+        functions = [function for item in found for function in item.functions(use)]
+        step.code = tuple(dict.fromkeys([*step.code, *functions]))
+        return found
 
     def _open_subgraph(
         self, scope: _Scope, graph: Graph, id: str, params: dict[str, Any], around: tuple[Path, ...]

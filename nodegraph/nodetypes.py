@@ -118,11 +118,13 @@ class Forecast:
         bytes: size of the value.
         peak: what computing it takes beyond its inputs and itself.
         about: whatever the plugin wants to hand to the forecasts downstream (a raster's shape and cell size, say).
+        known: False where only computing tells; `bytes` and `peak` are then the least.
     """
 
     bytes: int
     peak: int = 0
     about: Any = None
+    known: bool = True
 
 
 @dataclass(frozen=True, slots=True)

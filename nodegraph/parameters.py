@@ -62,9 +62,12 @@ class InputFile:
     Attributes:
         sidecars: suffixes of files of the same stem that the reader also looks at, such as ``(".prj", ".hdr")``;
             a suffix that starts with ``*`` is appended to the whole name (``"*.aux.xml"``).
+        type: the port type that the node reads from it, where it asks the registry for the format: the code of that
+            format and the sidecars it looks at then count for the cache, and a suffix of no format is refused at once.
     """
 
     sidecars: tuple[str, ...] = ()
+    type: type | None = None
 
     def related(self, path: Path) -> list[Path]:
         """Return `path` and the sidecars of it that exist, in a fixed order."""
@@ -82,7 +85,13 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class OutputFile:
-    """Marks a text parameter as the name of a file that the node makes, relative to the run's output folder."""
+    """Marks a text parameter as the name of a file that the node makes, relative to the run's output folder.
+
+    Attributes:
+        type: the port type that the node writes to it, where it asks the registry for the format; as of `InputFile`.
+    """
+
+    type: type | None = None
 
 
 InputPath = Annotated[Path, InputFile()]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 from xxhash import xxh3_128_hexdigest
@@ -18,9 +18,9 @@ from xxhash import xxh3_128_hexdigest
 from nodegraph.cache import Cache, Recipe, Record, physical_memory
 from nodegraph.cache import keys as cache_keys
 from nodegraph.errors import GraphError, NodeError, nearest, sentence
-from nodegraph.fingerprint import Fingerprints
+from nodegraph.fingerprint import Code, Fingerprints
 from nodegraph.network import Network, Step
-from nodegraph.nodetypes import Forecast, Node
+from nodegraph.nodetypes import Forecast
 from nodegraph.plugins import registry
 from nodegraph.reasons import CHECKED, EVICTED, FORCED, NEVER, NOT_STORED, explain
 
@@ -28,15 +28,22 @@ if TYPE_CHECKING:
     from nodegraph.opencl import Device
 
 
+_SCALARS = (bool, int, float, str)
+
+
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """What a plan says of one node: ``cached``, ``compute``, ``open`` (depends on what is computed) or ``failed``."""
+    """What a plan says of one node: ``cached``, ``compute``, ``open`` (depends on what is computed) or ``failed``.
+
+    `bytes` is what its outputs weigh; without `known` only computing tells.
+    """
 
     id: str
     type: str
     action: Literal["cached", "compute", "open", "failed"]
     reason: str
     bytes: int
+    known: bool = True
 
 
 class Plan:
@@ -84,7 +91,7 @@ class Plan:
         self.error: list[NodeError | None] = [None] * count
         self.recompute: dict[int, str] = {}
         self._files: dict[int, dict[str, bytes]] = {}
-        self._types: dict[int, tuple[bytes, str, str]] = {}
+        self._types: dict[tuple[int, Code], tuple[bytes, str, str]] = {}
         self._history: dict[str, bytes] | None = None
         for index in self.needed:
             if all(self.digests[source] is not None for _, source, _ in network.steps[index].inputs):
@@ -109,7 +116,7 @@ class Plan:
                 self.error[index] = NodeError(step.id, step.node.id, where)
                 self.error[index].__cause__ = error  # type: ignore[union-attr]
                 return False
-        self.key[index] = key = cache_keys.key(self._of_type(step.node)[0], step.canonical, inputs, files)
+        self.key[index] = key = cache_keys.key(self._of_type(step)[0], step.canonical, inputs, files)
         record = self.cache.lookup(key)
         if record is not None and len(record.digests) != len(step.node.outputs):
             record = None
@@ -119,14 +126,18 @@ class Plan:
         self.digests[index] = record.digests
         return True
 
-    def _of_type(self, node: Node[..., object]) -> tuple[bytes, str, str]:
-        """Return what all steps of one node type share: the prefix of their keys, code fingerprint, device class."""
-        known = self._types.get(id(node))
+    def _of_type(self, step: Step) -> tuple[bytes, str, str]:
+        """Return what all steps of one node type and the same file formats share.
+
+        That is the prefix of their keys, the fingerprint of their code, and the class of device.
+        """
+        node = step.node
+        known = self._types.get((id(node), step.code))
         if known is None:
-            code = fingerprints().of(node)
+            code = fingerprints().of(node, step.code)
             device = self.device.class_id if self.device is not None and node.twin is not None else ""
             known = (cache_keys.prefix(node.id, node.version, code, device), code.hex(), device)
-            self._types[id(node)] = known
+            self._types[id(node), step.code] = known
         return known
 
     def _file_digest(self, step: Step, name: str) -> bytes:
@@ -155,7 +166,7 @@ class Plan:
         for name, digest in self._files.get(index, {}).items():
             names = ", ".join(path.name for _, path in step.files[name])
             files[name] = f"{xxh3_128_hexdigest(digest)} {names}"
-        _, code, device = self._of_type(step.node)
+        _, code, device = self._of_type(step)
         return Recipe(step.node.id, step.node.version, code, step.canonical.decode(), inputs, files, device)
 
     # Why.
@@ -217,18 +228,18 @@ class Plan:
         found = []
         for index in self.needed:
             step = self.network.steps[index]
-            size = sizes[index].bytes
+            size, known = sizes[index].bytes, sizes[index].known
             error = self.error[index]
             if error is not None:
                 found.append(Planned(step.id, step.node.id, "failed", error.message, 0))
             elif index not in compute:
                 found.append(Planned(step.id, step.node.id, "cached", "", size))
             elif self.key[index] is not None:
-                found.append(Planned(step.id, step.node.id, "compute", self.reason(index), size))
+                found.append(Planned(step.id, step.node.id, "compute", self.reason(index), size, known))
             else:
                 sources = dict.fromkeys(port for port, source, _ in step.inputs if self.digests[source] is None)
                 reason = "depends on input " + ", ".join(sources)
-                found.append(Planned(step.id, step.node.id, "open", reason, size))
+                found.append(Planned(step.id, step.node.id, "open", reason, size, known))
         return found
 
     def forecasts(self, compute: set[int]) -> dict[int, Forecast]:
@@ -244,7 +255,11 @@ class Plan:
             except Exception:  # a forecast may fail on what the node itself will report better
                 forecast = None
             if not isinstance(forecast, Forecast):
-                forecast = Forecast(0)
+                forecast = Forecast(0, known=False)
+            if not forecast.bytes and not all(output.type in _SCALARS for output in step.node.outputs):
+                # Nothing can be told of what is made from something unknown, or from numbers in a way nobody told.
+                told = step.node.forecasts and all(item.known for items in inputs.values() for item in items)
+                forecast = replace(forecast, known=forecast.known and told)
             record = self.record[index]
             if record is not None:
                 forecast = Forecast(sum(record.sizes), forecast.peak if index in compute else 0, forecast.about)

@@ -32,6 +32,7 @@ from typing import Any
 import pluggy
 
 from nodegraph.errors import PluginError, nearest, sentence
+from nodegraph.formats import Format, Formats
 from nodegraph.nodetypes import Node
 from nodegraph.porttypes import accepts, is_port_type
 
@@ -106,6 +107,10 @@ class Hooks:
         """List how the plugin's port types are drawn; the entry for the nearest base class counts."""
 
     @hookspec
+    def nodegraph_formats(self) -> Sequence[Format]:  # type: ignore[empty-body]
+        """List the file formats that the plugin reads or writes, of its own port types or of another's."""
+
+    @hookspec
     def nodegraph_migrations(self) -> Sequence[Migration]:  # type: ignore[empty-body]
         """List what changed in the plugin's node types, so that old graph files keep running."""
 
@@ -123,9 +128,10 @@ class Plugin:
 
 
 class Registry:
-    """Everything that plugins brought: node types by id, conversions, previews, migrations.
+    """Everything that plugins brought: node types by id, conversions, previews, file formats, migrations.
 
-    Families are listed at once and imported when first asked for; `activate_all` imports every one of them.
+    Families are listed at once and imported when first asked for; `activate_all` imports every one of them.  File
+    formats are listed when a node first asks for one.
 
     Attributes:
         plugins: by name, those that failed among them.
@@ -140,6 +146,8 @@ class Registry:
         self._loaded_families: set[str] = set()
         self._conversions: list[Node[..., Any]] = []
         self._previews: list[Preview] = []
+        self._formats = Formats()
+        self._formats_listed: set[str] = set()
         self._manager = pluggy.PluginManager(GROUP)
         self._manager.add_hookspecs(Hooks)
 
@@ -219,8 +227,7 @@ class Registry:
 
     def _leave_out(self, plugin: Plugin, error: str) -> None:
         plugin.error = error
-        version = f" {plugin.version}" if plugin.version else ""
-        warnings.warn(f"plugin '{plugin.name}'{version} is left out: {plugin.error}", RuntimeWarning, stacklevel=3)
+        warnings.warn(f"{_called(plugin)} is left out: {plugin.error}", RuntimeWarning, stacklevel=3)
 
     def _activate(self, plugin: Plugin) -> None:
         """Take up what a plugin brings beside its nodes; where that fails, the plugin is left out."""
@@ -322,6 +329,26 @@ class Registry:
         by_type = {item.type: item for item in self._previews}
         return next((by_type[base] for base in cls.__mro__ if base in by_type), None)
 
+    def formats(self) -> Formats:
+        """Return the file formats of every plugin.
+
+        They are taken in the order of the plugins, whoever asks first: of two with the same type and suffix, always
+        the same one counts, and a warning names both.
+        """
+        for plugin in self.plugins.values():
+            if plugin.error or plugin.name in self._formats_listed:
+                continue
+            self._formats_listed.add(plugin.name)
+            try:
+                added: list[Format] = self._call(plugin, "nodegraph_formats", Format)
+            except PluginError as error:
+                self._leave_out(plugin, str(error))
+                continue
+            for item in added:
+                for clash in self._formats.add(item, plugin.name):
+                    warnings.warn(f"{_called(plugin)}: {clash}", RuntimeWarning, stacklevel=2)
+        return self._formats
+
     def migrations(self) -> list[Migration]:
         """Return the migrations of every plugin."""
         found: list[Migration] = []
@@ -349,6 +376,10 @@ def registry() -> Registry:
     found = Registry()
     found.load(entry_points(group=GROUP))
     return found
+
+
+def _called(plugin: Plugin) -> str:
+    return f"plugin '{plugin.name}' {plugin.version}".rstrip()
 
 
 def _declared_in(item: Any, module: ModuleType) -> bool:

@@ -55,7 +55,7 @@ def _matches(node: Node[..., Any], word: str) -> bool:
 
 
 def types(context: typer.Context) -> int:
-    """List the port types: what may travel on a link."""
+    """List the port types, what may travel on a link, and the file formats they can be read from and written to."""
     from nodegraph import porttypes
     from nodegraph.plugins import registry
 
@@ -66,7 +66,26 @@ def types(context: typer.Context) -> int:
         bases = [porttypes.describe(base) for base in cls.__mro__[1:] if _is_base(base, cls)]
         rows.append((name, bases[0] if bases else "", porttypes.summary(cls)))
     here.console.table([("type", "is a", "what it is"), *rows])
+    if formats := _formats():
+        here.console.say()
+        here.console.table([("type", "format", "is read from", "is written to", "plugin"), *formats])
     return 0
+
+
+def _formats() -> list[tuple[str, ...]]:
+    """Return a row for each file format: those of a type together, with the suffixes that are really its own."""
+    from nodegraph import porttypes
+    from nodegraph.plugins import registry
+
+    known = registry().formats()
+    rows: list[tuple[str, ...]] = []
+    for item, plugin in sorted(known, key=lambda entry: porttypes.describe(entry[0].type)):
+        reads, writes = (
+            " ".join([suffix or "(any other)" for suffix in known.suffixes(item, use)]) for use in ("read", "write")
+        )
+        if reads or writes:
+            rows.append((porttypes.describe(item.type), item.title, reads, writes, plugin))
+    return rows
 
 
 def _is_base(base: type, cls: type) -> bool:

@@ -203,8 +203,8 @@ def _code_files(result: Result, packages: list[str]) -> list[str]:
     """Return the sources that were loaded, and those that the fingerprints of the graph's nodes cover."""
     from nodegraph.plan import fingerprints
 
-    nodes = {id(step.node): step.node for step in result.plan.network.steps}
-    found = {str(path) for node in nodes.values() for path in fingerprints().files(node)}
+    codes = {(id(step.node), step.code): step for step in result.plan.network.steps}
+    found = {str(path) for step in codes.values() for path in fingerprints().files(step.node, step.code)}
     for name, module in list(sys.modules.items()):
         if name.partition(".")[0] in packages and (file := getattr(module, "__file__", None)):
             found.add(file)

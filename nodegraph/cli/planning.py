@@ -51,6 +51,7 @@ class Prospect:
     action: str
     reason: str
     bytes: int
+    known: bool
 
 
 def prospects(plan: Plan, folder: Path) -> list[Prospect]:
@@ -63,7 +64,7 @@ def prospects(plan: Plan, folder: Path) -> list[Prospect]:
         action, reason, record = str(entry.action), entry.reason, plan.record[index]
         if action == "cached" and record is not None and (why := publisher.stale(record.files)):
             action, reason = "rewrite", why
-        found.append(Prospect(entry.id, entry.type, action, reason, entry.bytes))
+        found.append(Prospect(entry.id, entry.type, action, reason, entry.bytes, entry.known))
     return found
 
 
@@ -100,12 +101,13 @@ def plan(
     loaded = request.graph()
     planned = request.plan(loaded)
     found = prospects(planned, request.folder(loaded))
-    rows = [(item.id, item.type, item.action, human_bytes(item.bytes), item.reason) for item in found]
+    sizes = [human_bytes(item.bytes) if item.known else "unknown" for item in found]
+    rows = [(item.id, item.type, item.action, size, item.reason) for item, size in zip(found, sizes, strict=True)]
     here.console.table([("node", "type", "action", "bytes", "reason"), *rows])
     counts = Counter(item.action for item in found)
     here.console.say(
         f"{text.count(len(found), 'node')}: {', '.join(f'{number} {action}' for action, number in counts.items())}; "
-        f"peak memory {human_bytes(planned.peak_bytes())}"
+        f"peak memory {'at least ' if 'unknown' in sizes else ''}{human_bytes(planned.peak_bytes())}"
     )
     planned.check_memory()
     failures = [error for index in planned.needed if (error := planned.error[index]) is not None]

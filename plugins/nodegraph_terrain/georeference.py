@@ -91,30 +91,39 @@ def horizontal(crs: Any) -> tuple[Any, str]:
     return parse_crs(parts[1]), _wkt_parts(unit)[0].strip('"') if unit else ""
 
 
-def extent_of(west: float, south: float, east: float, north: float, crs: Any) -> Extent:
-    """Return an extent in metres or degrees from edges in the unit of `crs` (a rasterio CRS or None).
+def system_of(crs: Any) -> tuple[str, str, float]:
+    """Return the system in metres or degrees that a rasterio CRS becomes here: its text, unit, and what to multiply by.
 
-    A projected CRS in feet or kilometres becomes the same projection in metres.
+    A projected CRS in feet or kilometres becomes the same projection in metres.  None, and a local or engineering
+    system, which says nothing of where on the Earth something lies, become plain metres without a system.
 
     Raises:
         ValueError: the system has a unit that is neither an angle in degrees nor a length.
     """
     if not crs:
-        return Extent(west, south, east, north)
+        return "", "m", 1.0
     if crs.is_geographic:
         name, factor = crs.units_factor
         if not isclose(factor, 0.017453292519943295, rel_tol=1e-9):
             raise ValueError(f"coordinates in {name} are not supported; convert them to degrees or metres")
-        return Extent(west, south, east, north, crs_text(crs), "deg")
+        return crs_text(crs), "deg", 1.0
     if not crs.is_projected:
-        # A local or engineering system says nothing of where on the Earth the raster lies.
-        return Extent(west, south, east, north)
+        return "", "m", 1.0
     factor = float(crs.linear_units_factor[1])
     if isclose(factor, 1.0, rel_tol=1e-9):
-        return Extent(west, south, east, north, crs_text(crs))
+        return crs_text(crs), "m", 1.0
     proj = re.sub(r"\+(units|to_meter)=\S+", "", str(crs.to_proj4()))
-    metric = parse_crs(f"{proj} +units=m")
-    return Extent(west * factor, south * factor, east * factor, north * factor, crs_text(metric))
+    return crs_text(parse_crs(f"{proj} +units=m")), "m", factor
+
+
+def extent_of(west: float, south: float, east: float, north: float, crs: Any) -> Extent:
+    """Return an extent in metres or degrees from edges in the unit of `crs` (a rasterio CRS or None).
+
+    Raises:
+        ValueError: the system has a unit that is neither an angle in degrees nor a length.
+    """
+    text, unit, factor = system_of(crs)
+    return Extent(west * factor, south * factor, east * factor, north * factor, text, unit)
 
 
 def extent_from_transform(transform: Any, rows: int, cols: int, crs: Any) -> tuple[Extent, bool, bool]:

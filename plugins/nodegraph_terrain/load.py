@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,23 +13,8 @@ from nodegraph import Context, Forecast, InputFile, Param, node, whole
 from nodegraph_terrain.blocks import row_blocks
 from nodegraph_terrain.forecasts import Outline, check_cells
 from nodegraph_terrain.raster import Elevation, Extent
-from nodegraph_terrain.readers import Options, VerticalUnit, opened
+from nodegraph_terrain.readers import Options, VerticalUnit, format_of, opened
 
-SIDECARS = (
-    "*.json",
-    "*.aux.xml",
-    "*.msk",
-    ".aux",
-    ".prj",
-    ".hdr",
-    ".wld",
-    ".tfw",
-    ".tifw",
-    ".pgw",
-    ".jgw",
-    ".bpw",
-    ".gfw",
-)
 _BLOCK = 1 << 22
 
 
@@ -38,7 +24,7 @@ def load_elevation(
     path: Annotated[
         Path | tuple[Path, ...],
         Param("The file with the heights, or several tiles of one grid."),
-        InputFile(sidecars=SIDECARS),
+        InputFile(type=Elevation),
     ],
     band: Annotated[int, Param("Which band holds the heights.", ge=1)] = 1,
     minimum: Annotated[float | None, Param("Height of the integer code 0.", unit="m")] = None,
@@ -61,9 +47,10 @@ def load_elevation(
     """Load an elevation model from one file, or from several tiles of one grid.
 
     Reads every raster format of GDAL (GeoTIFF, SRTM .hgt, USGS .dem, ESRI ASCII .asc, 16-bit PNG and so on), NumPy
-    .npy, raw .r16 (unsigned) and .r32 (float), and the .h5 of terrain.save_elevation.  Heights are metres as the file
-    has them: scale and offset tags are applied, feet become metres where the file (or `vertical_unit`) says so, and
-    nothing is ever stretched to 0..1.  Voids (no data, masked, infinite) become NaN.
+    .npy, raw .r16 (unsigned) and .r32 (float), and the .h5 of terrain.save_elevation.  Plugins add formats; 'nodegraph
+    types' lists them.  Heights are metres as the file has them: scale and offset tags are applied, feet become metres
+    where the file (or `vertical_unit`) says so, and nothing is ever stretched to 0..1.  Voids (no data, masked,
+    infinite) become NaN.
 
     Picture formats and .r16 hold codes, not heights: code c of largest code C is the height
     minimum + c (maximum - minimum) / C.  State that range, unless the JSON sidecar of terrain.save_elevation lies
@@ -83,17 +70,20 @@ def load_elevation(
     """
     paths = _paths(path)
     options = Options(band, minimum, maximum, rows, columns, byte_order, extent, cell_size, crs, nodata, vertical_unit)
-    outlines = [_outline(item, options) for item in paths]
-    total, places = mosaic(outlines, [item.name for item in paths])
-    check_cells(total.rows, total.cols)
-    heights = np.full((total.rows, total.cols), np.nan, np.float32)
-    for index, (item, (top, left)) in enumerate(zip(paths, places, strict=True)):
-        start, stop = index / len(paths), (index + 1) / len(paths)
-        with opened(item, options) as file:
-            shape = file.outline.rows, file.outline.cols
-            for part in row_blocks(*shape, context, cells=_BLOCK, start=start, stop=stop):
-                target = heights[top + part.start : top + part.stop, left : left + shape[1]]
-                np.copyto(target, file.read(part), where=np.isnan(target))
+    with ExitStack() as held:
+        # What tells its outline only when it is read is read once and held; the others are opened again for their rows.
+        files = {item: held.enter_context(opened(item, options)) for item in paths if not _tells_ahead(item)}
+        outlines = [files[item].outline if item in files else _outline(item, options) for item in paths]
+        total, places = mosaic(outlines, [item.name for item in paths])
+        check_cells(total.rows, total.cols)
+        heights = np.full((total.rows, total.cols), np.nan, np.float32)
+        for index, (item, (top, left)) in enumerate(zip(paths, places, strict=True)):
+            start, stop = index / len(paths), (index + 1) / len(paths)
+            with nullcontext(files[item]) if item in files else opened(item, options) as file:
+                shape = file.outline.rows, file.outline.cols
+                for part in row_blocks(*shape, context, cells=_BLOCK, start=start, stop=stop):
+                    target = heights[top + part.start : top + part.stop, left : left + shape[1]]
+                    np.copyto(target, file.read(part), where=np.isnan(target))
     if np.isnan(heights).all():
         raise ValueError(f"'{paths[0].name}' holds no heights: every cell is void")
     return Elevation(heights, total.extent)
@@ -101,13 +91,15 @@ def load_elevation(
 
 @load_elevation.forecast
 def _forecast(*, path: Path | tuple[Path, ...], **params: object) -> Forecast:
-    """Read the headers only.  What is wrong with a file is for the node to say."""
+    """Read the heads only.  What is wrong with a file is for the node to say, and one without a head tells nothing."""
     params.pop("context", None)
     try:
-        options = Options(**params)  # type: ignore[arg-type]
-        total, _ = mosaic([_outline(item, options) for item in _paths(path)])
+        paths, options = _paths(path), Options(**params)  # type: ignore[arg-type]
+        if not all(map(_tells_ahead, paths)):
+            return Forecast(0, known=False)
+        total, _ = mosaic([_outline(item, options) for item in paths])
     except (OSError, ValueError):
-        return Forecast(0)
+        return Forecast(0, known=False)
     return total.forecast(peak_bytes=1)
 
 
@@ -144,6 +136,11 @@ def mosaic(outlines: Sequence[Outline], names: Sequence[str] = ()) -> tuple[Outl
         first.extent.unit,
     )
     return Outline(bottom - top, right_end - left, extent), [(row - top, col - left) for row, col in offsets]
+
+
+def _tells_ahead(path: Path) -> bool:
+    """Say whether a file tells its outline before its heights are read."""
+    return format_of(path).open is not None
 
 
 def _outline(path: Path, options: Options) -> Outline:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from nodegraph import Family, Node, Preview, hookimpl
+from nodegraph import Family, Format, Node, Preview, hookimpl
 
 NODE_MODULES = (
     "sample_dem",
@@ -23,6 +23,8 @@ NODE_MODULES = (
     "noise_raster",
     "conversions",
     "save",
+    "load_polylines",
+    "save_polylines",
 )
 
 
@@ -35,11 +37,12 @@ def nodegraph_families() -> Sequence[Family]:
 
 @hookimpl
 def nodegraph_port_types() -> Sequence[type]:
-    """List the grid types and the histogram."""
+    """List the grid types, the histogram and lines."""
+    from nodegraph_terrain.polylines import Polylines, Property
     from nodegraph_terrain.raster import GRIDS, Extent
     from nodegraph_terrain.statistics import Histogram
 
-    return [Extent, *GRIDS, Histogram]
+    return [Extent, *GRIDS, Histogram, Polylines, Property]
 
 
 @hookimpl
@@ -56,3 +59,11 @@ def nodegraph_previews() -> Sequence[Preview]:
     from nodegraph_terrain.previews import PREVIEWS
 
     return PREVIEWS
+
+
+@hookimpl
+def nodegraph_formats() -> Sequence[Format]:
+    """List the files that rasters are read from and written to, and pictures written to."""
+    from nodegraph_terrain.formats.table import FORMATS
+
+    return FORMATS

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nodegraph import Preview
+from nodegraph_terrain.polylines import Polylines
 from nodegraph_terrain.raster import Elevation, Grid, Image, Labels, Mask, Normals, Raster, Shade, Slope
 from nodegraph_terrain.statistics import Histogram
 
@@ -85,6 +86,37 @@ def preview_histogram(histogram: Histogram) -> bytes:
     return buffer.getvalue()
 
 
+def preview_polylines(lines: Polylines) -> bytes:
+    """Show the lines over their coordinates, coloured by their first property that is a number."""
+    from io import BytesIO
+
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 8), dpi=120, layout="constrained")
+    axes = figure.add_subplot()
+    drawn = LineCollection([points[:, :2] for points in lines.lines()], linewidths=0.9, colors="#2b6ca3")
+    for item in lines.properties:
+        if isinstance(item.values, np.ndarray) and item.values.dtype.kind == "f" and np.isfinite(item.values).any():
+            drawn.set(array=item.values, cmap="viridis", color=None)
+            unit = f", {item.unit}" if item.unit else ""
+            figure.colorbar(drawn, ax=axes, label=(item.name + unit).replace("$", r"\$"), shrink=0.6)
+            break
+    axes.add_collection(drawn)
+    axes.autoscale_view()
+    degrees = lines.unit == "deg"
+    middle = 0.0 if lines.bounds is None else (lines.bounds[1] + lines.bounds[3]) / 2
+    axes.set_aspect(1 / max(cos(radians(middle)), 0.05) if degrees else 1)
+    axes.set_xlabel("longitude, deg" if degrees else "x, m")
+    axes.set_ylabel("latitude, deg" if degrees else "y, m")
+    axes.ticklabel_format(useOffset=False, style="plain")
+    axes.locator_params(nbins=5)
+    axes.spines[["top", "right"]].set_visible(False)
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
 def preview_image(image: Image) -> bytes:
     """Show the picture, made smaller where it is large."""
     rows, cols = _size(image)
@@ -110,6 +142,7 @@ PREVIEWS: tuple[Preview, ...] = (
     Preview(Image, preview_image),
     Preview(Normals, preview_normals),
     Preview(Histogram, preview_histogram),
+    Preview(Polylines, preview_polylines),
 )
 """How the grid types are drawn; a type without an entry takes that of its nearest base."""
 
@@ -201,6 +234,6 @@ def _shade(values: npt.NDArray[np.float32], pixel: tuple[float, float]) -> npt.N
 
 
 def _png(pixels: Pixels) -> bytes:
-    from nodegraph_terrain.save import png
+    from nodegraph_terrain.formats.png import png
 
     return png(pixels)

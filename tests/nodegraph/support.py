@@ -297,6 +297,7 @@ def plugin(
     port_types: Callable[[], Any] | None = None,
     conversions: Callable[[], Any] | None = None,
     previews: Callable[[], Any] | None = None,
+    formats: Callable[[], Any] | None = None,
     migrations: Callable[[], Any] | None = None,
 ) -> ModuleType:
     """Return a plugin module with the given hooks."""
@@ -307,6 +308,7 @@ def plugin(
         "nodegraph_port_types": port_types,
         "nodegraph_conversions": conversions,
         "nodegraph_previews": previews,
+        "nodegraph_formats": formats,
         "nodegraph_migrations": migrations,
     }
     for hook, function in hooks.items():

@@ -221,6 +221,21 @@ def test_a_bad_forecast_stops_nothing(bad: Any) -> None:
     assert graph.run(cache=toy.memory_cache())["increase"] == 2.0
 
 
+def test_what_only_computing_tells_is_not_known() -> None:
+    def known() -> dict[str, bool]:
+        return {entry.id: entry.known for entry in graph.plan(cache=cache).entries()}
+
+    graph, cache = toy.toy_graph(huge, raising), toy.memory_cache()
+    graph.add("toy.slow")
+    graph.add("toy.vandal", "same", values="slow")
+    graph.add("toy.peak", "number", values="same")
+    graph.add(huge, "told")
+    graph.add(raising, "untold")
+    assert known() == {"slow": False, "same": False, "number": True, "told": True, "untold": False}
+    graph.run(["slow"], cache=cache)
+    assert known() == {"slow": True, "same": True, "number": True, "told": True, "untold": False}
+
+
 def test_a_known_result_is_forecast_as_it_was(tmp_path: Path) -> None:
     cache = Cache(tmp_path)
     graph = toy.toy_graph()

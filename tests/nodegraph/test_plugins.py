@@ -18,7 +18,7 @@ from typing import Any, get_args, get_type_hints
 
 import pytest
 
-from nodegraph import Family, Graph, GraphError, Migration, Node, Preview, hookimpl, node
+from nodegraph import Family, Format, Graph, GraphError, Migration, Node, Preview, hookimpl, node
 from nodegraph.errors import PluginError
 from nodegraph.plugins import GROUP, Hooks, Registry, registry
 from tests.nodegraph import support as toy
@@ -309,6 +309,76 @@ def test_a_hook_may_give_nothing() -> None:
     assert found.plugins["quiet"].error == ""
 
 
+@pytest.mark.parametrize(
+    ("hook", "message"),
+    [
+        (lambda: [".acme"], "nodegraph_formats must list Format objects, not '.acme'"),
+        (lambda: 1 / 0, "nodegraph_formats failed (ZeroDivisionError"),
+        (lambda: [Format(dict, (".x",), "Dict", read=lambda path: {})], "is no port type; declare it with @port_type"),
+    ],
+)
+def test_formats_that_are_none_leave_the_others(hook: Callable[[], Any], message: str) -> None:
+    found = Registry()
+    fine = Format(toy.Height, (".fine",), "Fine", read=lambda path: None)
+    found.add(toy.plugin("odd", formats=hook))
+    found.add(toy.plugin("sound", formats=lambda: [fine]))
+    with pytest.warns(RuntimeWarning, match="plugin 'odd' 1.0 is left out: nodegraph_formats") as caught:
+        assert found.formats().find(toy.Height, "a.fine", "read") is fine
+    assert len(caught) == 1
+    assert message in found.plugins["odd"].error
+    assert [item for item, _ in found.formats()] == [fine]
+
+
+def test_of_two_plugins_with_one_suffix_the_first_by_name_keeps_it(write: Callable[..., str]) -> None:
+    """Whichever is used first: the formats of a plugin are no part of its being activated."""
+    source = """
+        from nodegraph import Family, Format, hookimpl
+        from tests.nodegraph import support as toy
+
+        def read(path):
+            return {family!r}
+
+        @hookimpl
+        def nodegraph_families():
+            return [Family({family!r})]
+
+        @hookimpl
+        def nodegraph_formats():
+            return [Format(toy.Height, (".h", ".{family}"), "Heights", read=read)]
+    """
+    modules = [write(source.format(family=name)) for name in ("late", "early")]
+    found = Registry()
+    found.load([point("late", modules[0], "2.0"), point("early", modules[1])])
+    found.find("late.nothing")
+    message = "plugin 'late' 2.0: format 'Heights' does not get '.h' for Height, which plugin 'early' has already"
+    with pytest.warns(RuntimeWarning) as caught:
+        formats = found.formats()
+    assert [str(item.message) for item in caught] == [message]
+    keeper, other = (item for item, _ in formats)
+    assert formats.find(toy.Height, "a.h", "read") is keeper
+    assert formats.find(toy.Height, "a.late", "read") is other
+    assert formats.suffixes(other, "read") == (".late",)
+    assert found.plugins["late"].error == "", "all else of it stays"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert found.formats() is formats, "one warning is enough"
+
+
+def test_formats_are_listed_when_they_are_asked_for() -> None:
+    asked: list[str] = []
+    found = toy.toy_registry()
+    found.add(toy.plugin("lazy", formats=lambda: asked.append("lazy")))
+    found.activate_all()
+    graph = Graph(registry=found)
+    graph.add("toy.number")
+    graph.validate()
+    assert asked == []
+    found.formats()
+    found.add(toy.plugin("later", formats=lambda: asked.append("later")))
+    found.formats()
+    assert asked == ["lazy", "later"]
+
+
 @pytest.mark.parametrize("rubbish", [lambda: [3], lambda: 1 / 0, lambda: [("a.b", 2)]])
 def test_migrations_that_are_none_stop_no_graph(rubbish: Callable[[], Any]) -> None:
     found = toy.toy_registry()
@@ -355,6 +425,7 @@ GIVEN: dict[str, tuple[type, Any]] = {
     "nodegraph_port_types": (type, toy.Height),
     "nodegraph_conversions": (Node, toy.increase),
     "nodegraph_previews": (Preview, Preview(toy.Height, lambda value: b"")),
+    "nodegraph_formats": (Format, Format(toy.Height, (".acme",), "Acme", read=lambda path: None)),
     "nodegraph_migrations": (Migration, Migration("acme.x", 2)),
 }
 
@@ -387,6 +458,7 @@ def test_every_hook_is_documented_and_called_as_it_says(name: str) -> None:
         "nodegraph_port_types": lambda: [example],
         "nodegraph_conversions": lambda: [found.conversion(float, float)],
         "nodegraph_previews": lambda: [found.preview(toy.Height)],
+        "nodegraph_formats": lambda: [found.formats().find(toy.Height, "x.acme", "read")],
         "nodegraph_migrations": lambda: found.migrations(),
     }
     assert heard[name]() == [example]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from nodegraph.testing import Example, parametrize_with_checks
+from nodegraph_terrain.polylines import Polylines, Property
 from nodegraph_terrain.raster import Elevation, Extent, Image, Mask, Raster, Shade
 
 ROWS, COLS = 37, 29
@@ -33,6 +34,13 @@ MASK = Mask(DICE.random((ROWS, COLS), np.float32), EXTENT)
 SHADE = Shade(DICE.random((ROWS, COLS), np.float32), EXTENT)
 PICTURE = Image(DICE.integers(0, 256, (ROWS, COLS, 4)).astype(np.uint8), EXTENT)
 PLAIN = Raster(DICE.normal(0, 1, (ROWS, COLS)).astype(np.float32), EXTENT)
+
+LINES = Polylines.of(
+    [[[500_000, 4_000_000, 5], [500_100, 4_000_050, 6]], [[0, 0, 1], [9, 0, 1], [9, 9, 1], [0, 0, 1]]],
+    [Property("level", np.array([5.5, 1.0]), "m"), Property("name", ("Elk", "Fork")), Property("order", np.arange(2))],
+    "EPSG:32616",
+)
+TRACK = str(Path(__file__).with_name("contract.csv"))
 
 
 def cases(*params: dict[str, Any], **inputs: Any) -> list[Example]:
@@ -74,6 +82,10 @@ EXAMPLES: dict[str, list[Example]] = {
         {"path": ASCII},
         {"path": ASCII, "extent": [0, 0, 400, 300], "crs": "EPSG:32616", "vertical_unit": "ft"},
     ),
+    "terrain.load_polylines": cases(
+        {"path": TRACK},
+        {"path": TRACK, "crs": "EPSG:32616", "target_crs": "EPSG:32617", "columns": ["x", "y", "-", "line"]},
+    ),
     "terrain.mask_image": cases({}, mask=MASK),
     "terrain.maximum": cases({}, {"limit": 480}, surface=HOLEY, others=[SOLID]),
     "terrain.minimum": cases({}, {"limit": 520}, surface=HOLEY, others=[SOLID]),
@@ -105,6 +117,9 @@ EXAMPLES: dict[str, list[Example]] = {
         )
     ],
     "terrain.save_image": cases({"name": "a.png"}, {"name": "a.tif"}, image=PICTURE),
+    "terrain.save_polylines": cases(
+        {"name": "a/b.geojson"}, {"name": "a.csv", "decimals": 2}, {"name": "a.json", "coordinates": "own"}, lines=LINES
+    ),
     "terrain.shade_image": cases({}, shade=SHADE),
     "terrain.slope": [*BOTH, *cases({"z_factor": 2}, surface=HOLEY)],
     "terrain.statistics": [*BOTH, *cases({"bins": 16}, surface=HOLEY)],

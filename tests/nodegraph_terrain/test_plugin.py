@@ -14,7 +14,10 @@ from nodegraph_terrain.conversions import mask_image, shade_image
 from nodegraph_terrain.raster import GRIDS, Extent, Image, Mask, Shade
 
 HEAVY = ("rasterio", "scipy", "matplotlib", "h5py", "PIL", "pyopencl")
-MODULES = sorted(path.stem for path in Path(nodegraph_terrain.__path__[0]).glob("*.py") if path.stem != "__init__")
+FOLDER = Path(nodegraph_terrain.__path__[0])
+MODULES = sorted(
+    ".".join(path.relative_to(FOLDER).with_suffix("").parts) for path in FOLDER.rglob("*.py") if path.stem != "__init__"
+)
 
 
 def test_the_registry_takes_the_plugin() -> None:

@@ -254,6 +254,49 @@ def test_a_plugin_from_install_to_uninstall(acme: Environment, wheels: dict[str,
     assert {item["status"] for item in acme.run(old).values()} == {"cached"}
 
 
+def test_a_format_from_install_to_uninstall(acme: Environment, wheels: dict[str, Path]) -> None:
+    """A stranger teaches terrain.load_elevation and save_elevation a format of its own."""
+    graph, written = acme.folder / "songs.json", acme.folder / "out" / "songs" / "higher.song"
+    (acme.folder / "hills.song").write_text("60 62 64\n65 67 69\n")
+    nodes: dict[str, Any] = {
+        "hills": {"type": "terrain.load_elevation", "params": {"path": "hills.song"}},
+        "higher": {"type": "terrain.add", "inputs": {"surface": "hills"}, "params": {"constant": 4.0}},
+        "file": {"type": "terrain.save_elevation", "inputs": {"surface": "higher"}, "params": {"name": "higher.song"}},
+        "tif": {"type": "terrain.save_elevation", "inputs": {"surface": "hills"}, "params": {"name": "hills.tif"}},
+        "again": {"type": "terrain.load_elevation", "params": {"path": "plain.asc"}},
+    }
+    (acme.folder / "plain.asc").write_text("ncols 2\nnrows 1\nxllcorner 0\nyllcorner 0\ncellsize 30\n1 2\n")
+    graph.write_text(json.dumps({"format": "nodegraph/1", "nodes": nodes}))
+
+    # Installed: it is listed, reads and writes, and is cached.
+    assert re.search(r"Raster +Song +\.song +\.song +acme_sound", acme.nodegraph("types").stdout)
+    first = acme.run(graph)
+    assert {item["status"] for item in first.values()} == {"computed"}
+    assert written.read_text() == "64 66 68\n69 71 73\n"
+    assert {item["status"] for item in acme.run(graph).values()} == {"cached"}
+    for _ in range(2):
+        assert "5 nodes: 5 cached" in acme.nodegraph("run", graph).stdout
+
+    # Another version reads and writes in another way: what it had a hand in is computed again, and nothing else.
+    acme.install(wheels["acme_v2"], alone=True)
+    second = acme.run(graph)
+    assert second["hills"]["reason"] == "code changed"
+    assert second["file"]["reason"] == "code changed; input surface changed"
+    assert second["tif"]["reason"] == "input surface changed"
+    assert second["again"]["status"] == "cached"
+    assert written.read_text() == "62 64 66\n67 69 71\n"
+    assert "5 nodes: 5 cached" in acme.nodegraph("run", graph).stdout
+
+    # Taken away: what would be written is refused before anything runs, what is read says what can be.
+    acme.uninstall("acme-sound")
+    done = acme.nodegraph("run", graph, status=2)
+    assert "node 'file': parameter 'name': 'higher.song' ends in '.song'; choose one of .tif, .png" in done.stderr
+    del nodes["file"]
+    graph.write_text(json.dumps({"format": "nodegraph/1", "nodes": nodes}))
+    done = acme.nodegraph("run", graph, "--target", "hills", status=1)
+    assert "'hills.song' is no raster that can be read; expected GeoTIFF" in done.stderr
+
+
 def test_a_graph_without_requires_names_the_family(environment: Environment) -> None:
     graph = environment.folder / "bare.json"
     graph.write_text('{"format": "nodegraph/1", "nodes": {"tune": {"type": "acme.scale"}}}')

@@ -40,6 +40,15 @@ def test_plan_says_what_a_run_would_do_and_runs_nothing(cli, pair, ran):
     assert ran() == []
 
 
+def test_plan_says_where_only_computing_tells_the_memory(cli, write_graph, here):
+    graph = write_graph("g.json", {"n": {"type": "acme.number"}, "a": {"type": "acme.grid", "inputs": {"x": "n"}}})
+    done = cli("plan", graph)
+    assert [line.split()[3] for line in lines(done.out)[1:3]] == ["0", "unknown"], "a number is small"
+    assert "peak memory at least 0 B" in done.out
+    cli("run", graph)
+    assert "peak memory 0 B" in cli("plan", graph).out
+
+
 def test_plan_takes_every_option_of_run(cli, pair, tmp_path, ran):
     options = "--target b --set b.by=3 --out o --cache-dir c --cache-mode checked --force a --jobs 1 --device none"
     done = cli("plan", pair, *options.split(), "--report", "r", "--profile", "p", "--traceback")
@@ -158,6 +167,24 @@ def test_types(cli):
     assert "Picture          A picture, as it were." in out or "A picture, as it were." in out
     row = next(line for line in lines(out) if line.startswith("Boolean"))
     assert "Integer" not in row
+
+
+def test_types_lists_the_formats_of_each(cli):
+    from nodegraph import Format
+    from nodegraph.plugins import registry
+
+    def read(path):
+        return None
+
+    assert "is read from" not in cli("types").out, "where no plugin has any"
+    picture = registry().find("acme.draw").outputs[0].type
+    for owner, suffixes in (("first", (".pic", ".picture")), ("second", (".pic",)), ("third", (".dot", ""))):
+        registry().formats().add(Format(picture, suffixes, "A picture", read=read), owner)
+    rows = [row.split() for row in lines(cli("types").out) if "A picture" in row and "Picture" in row.split()[:1]]
+    assert rows[-2:] == [
+        ["Picture", "A", "picture", ".pic", ".picture", "first"],
+        ["Picture", "A", "picture", ".dot", "(any", "other)", "third"],
+    ]
 
 
 def test_plugins(cli):

@@ -372,6 +372,62 @@ def test_nothing_heavy_is_loaded_and_edited_code_is_noticed(here, pair, own_plug
     assert "numpy" in modules
 
 
+FORMAT = """
+@hookimpl
+def nodegraph_formats():
+    from acme.nodes import Picture
+    from acme.pictures import write
+    from nodegraph import Format
+
+    return [Format(Picture, (".pic",), "Picture", write=write)]
+"""
+WRITER = """
+from nodegraph import File
+
+def write(picture, name):
+    from acme.pens import WIDTH
+    return File.of(name, f"{picture.text} {WIDTH}".encode())
+"""
+KEEP = """
+@node(version=1)
+def keep(picture: Picture, *, name: Annotated[str, OutputFile(type=Picture)] = "a.pic") -> File:
+    from nodegraph.plugins import registry
+    (write,) = registry().formats().find(type(picture), name, "write").functions("write")
+    return write(picture, name)
+"""
+
+
+def test_edited_code_of_a_format_is_noticed(here, write_graph, own_plugin, cache):
+    """What its writer imports late is in no module that a cached run loads."""
+    package = own_plugin / "acme"
+    (package / "plugin.py").write_text((package / "plugin.py").read_text() + FORMAT)
+    (package / "pictures.py").write_text(WRITER)
+    (package / "pens.py").write_text("WIDTH = 1\n")
+    nodes = (package / "nodes.py").read_text().replace("OutputName,", "OutputFile, OutputName,")
+    (package / "nodes.py").write_text(nodes + KEEP)
+    write_graph(
+        "kept.json",
+        {
+            "a": {"type": "acme.number"},
+            "b": {"type": "acme.draw", "inputs": {"x": "a"}},
+            "c": {"type": "acme.keep", "inputs": {"picture": "b"}},
+        },
+    )
+    time.sleep(2.1)
+    assert "3 computed" in loaded(here, ["run", "kept.json"], own_plugin)[0]
+    shutil.rmtree(cache / ANSWERS)
+    _, modules = loaded(here, ["run", "kept.json"], own_plugin)
+    assert "acme.pictures" in modules
+    assert "acme.pens" not in modules
+    out, modules = loaded(here, ["run", "kept.json"], own_plugin)
+    assert "3 nodes: 3 cached" in out
+    assert "numpy" not in modules
+    (package / "pens.py").write_text("WIDTH = 2\n")
+    out, _ = loaded(here, ["run", "kept.json"], own_plugin)
+    assert "code changed" in out
+    assert Path("out/kept/a.pic").read_text() == "1 2"
+
+
 def test_a_fresh_answer_is_written_whole(cli, pair, answered, cache):
     cli("run", pair)
     (path,) = (cache / ANSWERS).iterdir()

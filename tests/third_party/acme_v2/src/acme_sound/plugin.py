@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from nodegraph import Family, Migration, Node, Preview, hookimpl
+from nodegraph import Family, Format, Migration, Node, Preview, hookimpl
 
 
 @hookimpl
@@ -37,6 +37,15 @@ def nodegraph_previews() -> Sequence[Preview]:
     from acme_sound.roll import draw
 
     return [Preview(Melody, draw)]
+
+
+@hookimpl
+def nodegraph_formats() -> Sequence[Format]:
+    """Read songs as terrain, and write any raster as one."""
+    from acme_sound import songs
+    from nodegraph_terrain.raster import Raster
+
+    return [Format(Raster, (".song",), "Song", songs.read, songs.write)]
 
 
 @hookimpl
