@@ -27,21 +27,9 @@ octaves fades with it, w_(i+1) = (1 - b_i) w_i + b_i min(1, F s_i).  With `kappa
 t runs from 0 to 1 over the octave's interval [k_i-, k_i+]; by default these split [0, 1] evenly, coarse octaves first,
 so kappa = 0 is level ground and kappa = 1 all detail.  Gradients are those at a fixed kappa.
 
-**Slope.**  `Noise.lipschitz` bounds |grad| per metre, by L = `gradient_noise.LIPSCHITZ` per cell:
-
-- fbm, billow: sum a_i b_i f_i L (a rotation keeps lengths, a frequency multiplies slopes).
-- ridged: with r = (1 - |n|)^2, |grad r| <= 2 sqrt(r) f L.  So lambda(s_i) <= 2 f_i L + lambda(w_i).  Where the
-minimum is
-  F r w, so that r w <= c = min(1, 1/F), |grad(F r w)| <= F (2 f L w sqrt(r) + r lambda(w)), which is convex along
-  r w = c, hence greatest at its ends: lambda(w_(i+1)) <= F max(2 f L sqrt(c) + c lambda(w), 2 f L c + lambda(w)).
-- hybrid: with v = n + o in units of 1 + o, in the same way lambda(s_i) <= l + lambda(w_i) with l = f_i L/(1 + o), and
-  lambda(w_(i+1)) <= G max(l + c lambda(w), c l + lambda(w)) with G = F (1 + o), c = min(1, 1/G).
-- both: the mix with w_i gives lambda(w_i) + b_i max(0, that - lambda(w_i)).
-- warped: lambda(fbm) (1 + sqrt(2) D lambda(q)), from |I + D grad q| <= 1 + D sqrt(lambda(q_x)^2 + lambda(q_y)^2).
-
-Value bounds and slope bounds never fall when a b_i rises: those of the greatest kappa hold for every smaller one.
-A search finds slopes of 99 % of the bound for one octave, 55 to 70 % for fbm and billow of 8 and 4, 30 to 40 % for
-warped, 20 to 40 % for ridged, and 5 to 30 % for hybrid, whose bound grows by F (1 + o) with each octave.
+**Bounds.**  `Noise.bounds` and `Noise.lipschitz` hold everywhere and `Noise.bounds_in` in a box, where it knows the
+octaves that are not much finer than the box; `noise_bounds` says how and proves it.  Value bounds and slope bounds
+never fall when a b_i rises: those of the greatest kappa hold for every smaller one.
 
 References:
     K. Perlin (1985): An image synthesizer. SIGGRAPH. doi:10.1145/325334.325247.
@@ -57,13 +45,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from nodegraph_terrain.gradient_noise import FARTHEST, LIPSCHITZ, scrambled
+from nodegraph_terrain.gradient_noise import FARTHEST, scrambled
+from nodegraph_terrain.noise_bounds import bounds_in, slope_everywhere
 from nodegraph_terrain.noise_sums import OFFSET, Lattice, Sample, billow, cells_of, fbm, hybrid, ridged, warped
 
 Kind = Literal["gradient", "fbm", "billow", "ridged", "hybrid", "warped"]
@@ -223,28 +212,28 @@ class Noise:
 
     def lipschitz(self, weights: npt.ArrayLike | None = None) -> float:
         """Return the greatest slope per metre that the sum can have, with octaves weighted by b_i where given."""
-        filters = self._scalars(weights)
-        slope, weight = 0.0, 0.0
-        for lattice, b in zip(self.lattices[: self.count], filters, strict=True):
-            own = LIPSCHITZ * lattice.frequency
-            if self.kind == "ridged":
-                own, limit = 2 * own, min(1.0, 1 / self.feedback) if self.feedback else 1.0
-                risen = self.feedback * max(own * math.sqrt(limit) + limit * weight, own * limit + weight)
-            elif self.kind == "hybrid":
-                own, feedback = own / (1 + OFFSET), self.feedback * (1 + OFFSET)
-                limit = min(1.0, 1 / feedback) if feedback else 1.0
-                risen = feedback * max(own + limit * weight, own * limit + weight)
-            else:
-                risen = 0.0
-            slope += lattice.amplitude * float(b) * (own + weight)
-            weight += float(b) * max(0.0, risen - weight)
-        if self.kind == "warped":
-            warps = self.lattices[self.count : self.count + self.warps]
-            shift = sum(
-                lattice.amplitude * LIPSCHITZ * lattice.frequency * filters[lattice.octave] for lattice in warps
-            )
-            slope *= 1 + math.sqrt(2) * float(shift)
-        return slope
+        if weights is None:
+            return self._steepest
+        return slope_everywhere(self.kind, self.lattices, self.warps, self.feedback, self._scalars(weights))
+
+    @cached_property
+    def _steepest(self) -> float:
+        return slope_everywhere(self.kind, self.lattices, self.warps, self.feedback, np.ones(self.count))
+
+    def bounds_in(
+        self, west: float, south: float, east: float, north: float, weights: npt.ArrayLike | None = None
+    ) -> tuple[float, float, float]:
+        """Return least and greatest value and the greatest slope per metre in a box, which may be infinite.
+
+        Tight where the box is small against a wavelength, and those of `bounds` and `lipschitz` where it is large.
+
+        >>> noise = Noise("fbm", octaves=2, wavelength=100.0)
+        >>> low, high, slope = noise.bounds_in(0.0, 0.0, 5.0, 5.0)
+        >>> high - low < 0.1 and slope < 0.5 * noise.lipschitz()
+        True
+        """
+        filters = None if weights is None else tuple(self._scalars(weights).tolist())
+        return _bounds_in(self, (west, south, east, north), filters)
 
     # What `noise.h` reads.
 
@@ -381,29 +370,47 @@ class Noise:
         return fbm(lattices, x, y, b, slopes)
 
 
-def origins_of(noises: Sequence[Noise], x: Floats, y: Floats) -> Words:
-    """Return `Noise.origins` of many noises, each at a point of its own, one after the other: flat words.
+def origins_of(noises: Sequence[Noise], x: Floats, y: Floats, which: npt.NDArray[np.int64] | None = None) -> Words:
+    """Return `Noise.origins` of many points, each for a noise of its own, one after the other: flat words.
 
     Far faster than asking one by one, where there are many.  Raises `ValueError` as that does.
+
+    Args:
+        noises: of each point, or those that `which` counts.
+        x, y: the points, m.
+        which: the place in `noises` of each point's noise.
     """
-    # Scenes share noises between many places: each is laid out once.
-    distinct = {id(noise): noise for noise in noises}
-    order = {key: place for place, key in enumerate(distinct)}
-    which = np.array([order[id(noise)] for noise in noises])
-    sizes = np.array([len(noise.frames) for noise in distinct.values()])
-    counts, starts = sizes[which], (np.cumsum(sizes) - sizes)[which]
+    which = np.arange(len(noises)) if which is None else which
+    sizes = np.array([len(noise.frames) for noise in noises])
+    frames, starts, counts = np.concatenate([noise.frames for noise in noises]), np.cumsum(sizes) - sizes, sizes[which]
     ends = np.cumsum(counts)
-    rows = np.repeat(starts - (ends - counts), counts) + np.arange(ends[-1])
-    frames = np.concatenate([noise.frames for noise in distinct.values()])[rows]
-    px, py = np.repeat(x, counts), np.repeat(y, counts)
-    cells = np.stack([px * frames[:, axis] + py * frames[:, axis + 1] + frames[:, 4 + axis // 2] for axis in (0, 2)], 1)
-    base = np.floor(cells)
-    if not np.abs(base).max() <= FARTHEST:
-        raise ValueError("coordinates must be finite and within 2^31 cells of noise of the origin")
-    words = np.empty((len(cells), 4), np.uint32)
-    words[:, :2] = base.astype(np.int64).astype(np.uint32)
-    words[:, 2:] = (cells - base).astype(np.float32).view(np.uint32)
+    words = np.empty((ends[-1], 4), np.uint32)
+    step = BLOCK // MOST
+    for first in range(0, len(which), step):
+        some = slice(first, first + step)
+        count, end = counts[some], ends[some]
+        part = slice(end[0] - count[0], end[-1])
+        frame = frames[np.repeat(starts[which[some]] - (end - count), count) + np.arange(part.start, part.stop)]
+        px, py = np.repeat(x[some], count), np.repeat(y[some], count)
+        for axis in range(2):
+            cells = px * frame[:, 2 * axis] + py * frame[:, 2 * axis + 1] + frame[:, 4 + axis]
+            base = np.floor(cells)
+            if not max(base.max(), -base.min()) <= FARTHEST:
+                raise ValueError("coordinates must be finite and within 2^31 cells of noise of the origin")
+            words[part, axis] = base.astype(np.int64).astype(np.uint32)
+            words[part, 2 + axis] = (cells - base).astype(np.float32).view(np.uint32)
     return words.ravel()
+
+
+@lru_cache(maxsize=256)
+def _bounds_in(
+    noise: Noise, box: tuple[float, float, float, float], weights: tuple[float, ...] | None
+) -> tuple[float, float, float]:
+    """See `Noise.bounds_in`; remembered, for a tree may hold a noise at several places and ask each about a box."""
+    (low, high), slope = noise.bounds(weights), noise.lipschitz(weights)
+    filters = np.ones(noise.count) if weights is None else np.array(weights)
+    found = bounds_in(noise.kind, noise.lattices, noise.warps, noise.feedback, filters, box)
+    return (low, high, slope) if found is None else (max(low, found[0]), min(high, found[1]), min(slope, found[2]))
 
 
 def _amplitudes(gain: float, count: int) -> Floats:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import chain, groupby
 from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from nodegraph import port_type
+from nodegraph_tree.box_index import BoxIndex
 from nodegraph_tree.device import FOLDER, Kernel
 from nodegraph_tree.function import (
     ABSENT,
@@ -24,9 +27,12 @@ from nodegraph_tree.function import (
 )
 
 if TYPE_CHECKING:
-    from nodegraph_tree.device import Emitter, Frame
+    from nodegraph_tree.device import Emitter, Fill, Frame
 
 _BLEND = Kernel("tree_blend", FOLDER / "operators.cl")
+
+_FEW = 8
+"""Up to this many operands it does not pay to tell apart the blocks of a tile."""
 
 _PAIRS = 512
 """Up to this many operands the bound compares each with each."""
@@ -55,14 +61,20 @@ class Blend(ElevationFunction):
         return box
 
     @cached_property
-    def _boxes(self) -> Floats:
-        return np.array([part.support for part in self.operands]).reshape(-1, 4)
+    def _sorted(self) -> tuple[ElevationFunction, ...]:
+        """The operands, those that are one and the same instruction side by side."""
+        kinds: dict[tuple[Kernel, Fill] | None, list[ElevationFunction]] = {}
+        for part in self.operands:
+            kinds.setdefault(part.single, []).append(part)
+        return tuple(chain.from_iterable(kinds.values()))
+
+    @cached_property
+    def _index(self) -> BoxIndex:
+        return BoxIndex([part.support for part in self._sorted])
 
     def reaching(self, box: Box) -> list[ElevationFunction]:
-        """Return the operands whose support meets a box, in order."""
-        west, south, east, north = self._boxes.T
-        hits = (west <= box.east) & (box.west <= east) & (south <= box.north) & (box.south <= north)
-        return [self.operands[index] for index in np.flatnonzero(hits)]
+        """Return the operands whose support meets a box, in an order that does not depend on it."""
+        return [self._sorted[number] for number in self._index.meeting(box).tolist()]
 
     def query(self, points: Points, *, gradient: bool = False) -> Sample:
         """Return the weighted mean; each operand is asked only where it reaches.
@@ -137,16 +149,37 @@ class Blend(ElevationFunction):
 
     def emit(self, emitter: Emitter, frame: Frame) -> None:
         """Sum up what reaches the tile."""
-        reaching = self.reaching(frame.box)
-        if not reaching:
+        numbers = self._index.meeting(frame.box)
+        parts = [self._sorted[number] for number in numbers.tolist()]
+        if len(parts) > _FEW:
+            _emit_many(parts, frame.blocks_in(self._index.boxes[numbers]), emitter, frame)
+            return
+        if not parts:
             emitter.nothing()
-        elif len(reaching) == 1:
-            reaching[0].emit(emitter, frame)
-        else:
-            reaching[0].emit(emitter, frame)
-            for part in reaching[1:]:
-                part.emit(emitter, frame)
+        for place, part in enumerate(parts):
+            part.emit(emitter, frame)
+            if place:
                 emitter.add(_BLEND, pushes=-1)
+
+
+def _emit_many(
+    parts: Sequence[ElevationFunction], blocks: npt.NDArray[np.int32], emitter: Emitter, frame: Frame
+) -> None:
+    """Sum up operands, each in the blocks that it reaches; those that are one and the same instruction in one go."""
+    emitter.nothing()
+    whole, first = emitter.blocks, 0
+    for single, same in groupby(parts, lambda part: part.single):
+        some = list(same)
+        theirs = blocks[first : first + len(some)]
+        first += len(some)
+        if single is not None:
+            kernel, fill = single
+            emitter.add_each(kernel, fill, some, frame, theirs, _BLEND)
+            continue
+        for part, emitter.blocks in zip(some, (whole & theirs).tolist(), strict=True):
+            part.emit(emitter, frame)
+            emitter.add(_BLEND, pushes=-1)
+        emitter.blocks = whole
 
 
 def greatest_mean(values: Floats, least: Floats, most: Floats) -> float:

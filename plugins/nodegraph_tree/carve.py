@@ -117,10 +117,16 @@ class Carve(ElevationFunction):
         moved = float(self._edge(np.array(deepest)))
         pull = product(layer.weight_slope if least < 1 else 0.0, moved)
 
+        shallowest = layer.low - base.high if self.upward else base.low - layer.high
+        shares = (
+            least * float(self._edge_slope(np.array(shallowest))),
+            most * float(self._edge_slope(np.array(deepest))),
+        )
+
         def mixed(below: float) -> float:
-            # a m' lies in [0, most]; a |grad f_B| is also at most the flux of B.
-            ends = max(below, product(1 - most, below) + product(most, layer.steepest))
-            return min(ends, below + layer.flux) + pull
+            # Linear in the share a m', so greatest at an end; a |grad f_B| is also at most the flux of B.
+            ends = max(product(1 - share, below) + product(share, layer.steepest) for share in shares)
+            return min(ends, product(1 - shares[0], below) + layer.flux) + pull
 
         turned = min(layer.flux, product(most, layer.steepest)) + pull
         return Bounds(

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from nodegraph import Param, node, port_type
 from nodegraph_tree import profile
-from nodegraph_tree.device import FOLDER, Kernel
-from nodegraph_tree.disc import Relief
+from nodegraph_tree.device import FOLDER, Kernel, Parameters, Pending
+from nodegraph_tree.disc import Relief, relief_parameters
 from nodegraph_tree.falloff import CODES, FallOff, derivative, fall_off, steepest_between
 from nodegraph_tree.function import (
     ABSENT,
@@ -32,7 +32,7 @@ from nodegraph_tree.profile import Section, Shape
 from nodegraph_tree.skeleton import TURN, WINDOW, Found, Skeleton, skeleton
 
 if TYPE_CHECKING:
-    from nodegraph_tree.device import Emitter, Frame
+    from nodegraph_tree.device import Emitter, Frame, Shared
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -74,13 +74,14 @@ class Seen(NamedTuple):
 
 @port_type
 class Curve(ElevationFunction):
-    """Cross-sections led along curves: f = z + c(d) + relief, alpha = g((d - core) / (radius - core)).
+    """Cross-sections led along a curve: f = z + c(d) + relief, alpha = g((d - core) / (radius - core)).
 
-    d is the distance to the nearest of the curves, z their height and c the cross-section, both continued over the
-    plane as `nodegraph_tree.skeleton` says: beside a curve those of the nearest point.
+    d is the distance to the curve, z its height and c the cross-section, both continued over the plane as
+    `nodegraph_tree.skeleton` says: beside the curve those of the nearest point.  Several curves that run into each
+    other are a `nodegraph_tree.union` of several of these.
 
     Attributes:
-        skeleton: the curves.
+        skeleton: the curve.
         sections: cross-sections; a place between k and k + 1 mixes both.
         radii: beyond which the weight is 0, m, one for each section.
         cores: up to which the weight is 1, m, one for each section.
@@ -99,7 +100,7 @@ class Curve(ElevationFunction):
 
     @cached_property
     def support(self) -> Box:
-        """Around the curves."""
+        """Around the curve."""
         return self.skeleton.extent.grown(self.skeleton.radius)
 
     @cached_property
@@ -518,8 +519,13 @@ class Curve(ElevationFunction):
         ints = [len(arcs), first, len(chosen), left, 0 if self._symmetric else right, CODES[self.fall_off]]
         emitter.add(_CURVE, floats, ints)
         if self.relief.noise is not None:
-            words = self.relief.words(emitter, frame.ox - self.origin[0], frame.oy - self.origin[1])
-            emitter.add(_ROUGH, [self.relief.amplitude], words, pushes=0)
+            emitter.add(_ROUGH, Pending(_rough, self, frame.ox, frame.oy), pushes=0)
+
+
+def _rough(curves: Sequence[Curve], x: Floats, y: Floats, shared: Shared) -> Parameters:
+    east, north = np.array([x, y]) - np.array([item.origin for item in curves]).T
+    floats = np.array([[item.relief.amplitude] for item in curves])
+    return relief_parameters([item.relief for item in curves], floats, east, north, shared)
 
 
 def _padded(pieces: Floats, count: int) -> list[float]:
@@ -572,7 +578,8 @@ def curve(
 
     Smooth curves are laid as circular arcs that share tangents, within `tolerance`; |d| is the exact distance to them.
     Where branches of the curve meet off the curve (inside bends tighter than the radius, between the legs of a meander)
-    q_z and c change over continuously from one to the other, so that f is Lipschitz everywhere; |d| has a crease there.
+    q_z and c change over continuously from one to the other, so that f is Lipschitz everywhere; |d| has a crease there,
+    which a radius up to that of the tightest bend keeps out of sight.
     A curve that crosses itself at another height climbs between both close to the crossing.  A single point gives a
     round primitive.  Points that repeat the one before are left out.
 
@@ -597,30 +604,31 @@ def curve(
     """
     line = line_of(points, kind, tolerance=tolerance, height=height, slope=slope)
     made = stations([profile.section(item, shape) for item in sections], positions, width, radius, core)
-    return built([line], made, fall_off=fall_off)
+    return built(line, made, fall_off=fall_off)
 
 
 def built(
-    lines: Sequence[Line],
+    line: Line,
     made: Stations,
-    places: Sequence[Floats] | None = None,
+    place: Floats | None = None,
     *,
     fall_off: FallOff = "wyvill",
     relief: Relief | None = None,
+    origin: tuple[float, float] | None = None,
 ) -> Curve:
-    """Return a curve primitive along one or several lines.
+    """Return a curve primitive along a line.
 
     Args:
-        lines: the curves.
+        line: the curve.
         made: sections, radii and cores.
-        places: of each line's nodes among the stations; by default the stations are spread along each line.
+        place: of the line's nodes among the stations; by default the stations are spread along it.
         fall_off: of the weight.
-        relief: roughness, which has its origin where the first line starts.
+        relief: roughness.
+        origin: of the roughness; by default where the line starts.
     """
-    if places is None:
-        pairs = [spread(line, made) for line in lines]
-        lines, places = [line for line, _ in pairs], [place for _, place in pairs]
+    if place is None:
+        line, place = spread(line, made)
     radius = max(made.radii)
-    bone = skeleton([line.track for line in lines], [(line.height, line.rise) for line in lines], list(places), radius)
-    x, y = lines[0].track.nodes[0].tolist()
-    return Curve(bone, made.sections, made.radii, made.cores, fall_off, relief or Relief(), (x, y))
+    bone = skeleton([line.track], [(line.height, line.rise)], [place], radius)
+    x, y = line.track.nodes[0].tolist()
+    return Curve(bone, made.sections, made.radii, made.cores, fall_off, relief or Relief(), origin or (x, y))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from math import hypot, inf, isfinite
+from itertools import chain
+from math import inf, isfinite
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 
 from nodegraph import Param, node, port_type
 from nodegraph_terrain.noise import MOST, Kind, Noise, origins_of
-from nodegraph_tree.device import FOLDER, Kernel, Pending
+from nodegraph_tree.device import FOLDER, Kernel, Parameters, Pending
 from nodegraph_tree.falloff import CODES, FallOff, derivative, fall_off, steepest_between
 from nodegraph_tree.function import (
     ABSENT,
@@ -27,7 +28,7 @@ from nodegraph_tree.function import (
 )
 
 if TYPE_CHECKING:
-    from nodegraph_tree.device import Emitter, Frame
+    from nodegraph_tree.device import Emitter, Fill, Frame, Shared
 
 Roughness = Literal["none", "gradient", "fbm", "billow", "ridged", "hybrid", "warped"]
 Style = Literal["plain", "hills", "mountains"]
@@ -60,6 +61,11 @@ class Relief:
     warp: float = 0.3
     intervals: tuple[tuple[float, float], ...] = ()
 
+    @property
+    def level(self) -> bool:
+        """True where there is no noise."""
+        return self.kind == "none" or self.amplitude == 0
+
     @cached_property
     def noise(self) -> Noise | None:
         """The noise itself; None where the ground is level."""
@@ -82,23 +88,12 @@ class Relief:
         return self.amplitude * found.value, self.amplitude * np.stack([found.east, found.north])
 
     def bounds(self, box: Box, detail: float) -> tuple[float, float, float]:
-        """Return least and greatest height in a box of offsets, and the greatest slope.
-
-        The sum's own bounds, and, with the slope's bound L, h(middle) -+ L * half the box's diagonal: every point of a
-        box is that near to its middle, along a straight line inside it.
-        """
+        """Return least and greatest height in a box of offsets, and the greatest slope; see `Noise.bounds_in`."""
         if self.noise is None:
             return 0.0, 0.0, 0.0
-        weights = self.noise.weights(detail)
-        ends = [self.amplitude * end for end in self.noise.bounds(weights)]
-        slope = abs(self.amplitude) * self.noise.lipschitz(weights)
-        low, high = min(ends), max(ends)
-        reach = slope * 0.5 * hypot(box.east - box.west, box.north - box.south)
-        if reach < high - low:
-            x, y = 0.5 * (box.west + box.east), 0.5 * (box.south + box.north)
-            middle = self.amplitude * float(self.noise.value(x, y, kappa=detail))
-            low, high = max(low, middle - reach), min(high, middle + reach)
-        return low, high, slope
+        low, high, slope = self.noise.bounds_in(*box, None if detail >= 1 else self.noise.weights(detail))
+        ends = (self.amplitude * low, self.amplitude * high)
+        return min(ends), max(ends), abs(self.amplitude) * slope
 
     @cached_property
     def table(self) -> npt.NDArray[np.float32]:
@@ -106,16 +101,22 @@ class Relief:
         assert self.noise is not None
         return self.noise.table().view(np.float32)
 
-    def words(self, emitter: Emitter, x: float, y: float) -> list[int | Pending]:
-        """Return the integer parameters of an instruction for a tile with its origin at an offset from the centre."""
-        assert self.noise is not None
-        filtered = not (isinstance(emitter.detail, (int, float)) and emitter.detail >= 1)
-        origins = Pending(_origins, self.noise, x, y, 4 * len(self.noise.lattices))
-        return [emitter.shared.place(self.table), int(filtered), origins]
 
+def relief_parameters(
+    reliefs: Sequence[Relief], floats: Floats, x: Floats, y: Floats, shared: Shared, *heads: npt.NDArray[np.int64]
+) -> Parameters:
+    """Return the parameters of instructions with a relief each, not level, seen from offsets (x, y) from its centre.
 
-def _origins(noises: Sequence[Noise], x: Floats, y: Floats) -> npt.NDArray[np.int32]:
-    return origins_of(noises, x, y).view(np.int32)
+    Integers are where the noise's table starts, one of each of `heads`, and the origin's place on the lattices.
+    """
+    # Scenes share reliefs between many places: each is laid out once.
+    numbers: dict[int, int] = {}
+    which = np.array([numbers.setdefault(id(item), len(numbers)) for item in reliefs])
+    known = {id(item): item for item in reliefs}.values()
+    noises = [item.noise for item in known if item.noise is not None]
+    tables = np.array([shared.place(item.table) for item in known])[which]
+    counts = np.array([4 * len(item.lattices) for item in noises])[which]
+    return Parameters(floats, np.column_stack([tables, *heads]), origins_of(noises, x, y, which).view(np.int32), counts)
 
 
 @port_type
@@ -193,13 +194,35 @@ class Disc(ElevationFunction):
         dx, dy = max(west - self.x, 0.0, self.x - east), max(south - self.y, 0.0, self.y - north)
         if dx * dx + dy * dy >= self.radius * self.radius:
             emitter.nothing()
-            return
-        x, y = self.x - frame.ox, self.y - frame.oy
-        floats = [x, y, 1 / self.radius, self.height, self.relief.amplitude]
-        if self.relief.noise is None:
-            emitter.add(_FLAT, floats, [CODES[self.fall_off]])
         else:
-            emitter.add(_ROUGH, floats, [CODES[self.fall_off], *self.relief.words(emitter, -x, -y)])
+            kernel, fill = self.single
+            emitter.add(kernel, Pending(fill, self, frame.ox, frame.oy))
+
+    @property
+    def single(self) -> tuple[Kernel, Fill]:
+        """Level or rough."""
+        return (_FLAT, _flat) if self.relief.level else (_ROUGH, _rough)
+
+    @cached_property
+    def _numbers(self) -> tuple[float, ...]:
+        return (self.x, self.y, 1 / self.radius, self.height, self.relief.amplitude, CODES[self.fall_off])
+
+
+def _seen(discs: Sequence[Disc], x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.int64]]:
+    numbers = np.fromiter(chain.from_iterable([item._numbers for item in discs]), np.float64).reshape(-1, 6)
+    numbers[:, 0] -= x
+    numbers[:, 1] -= y
+    return numbers[:, :5], numbers[:, 5].astype(np.int64)
+
+
+def _flat(discs: Sequence[Disc], x: Floats, y: Floats, shared: Shared) -> Parameters:  # noqa: ARG001
+    floats, codes = _seen(discs, x, y)
+    return Parameters(floats, codes[:, None])
+
+
+def _rough(discs: Sequence[Disc], x: Floats, y: Floats, shared: Shared) -> Parameters:
+    floats, codes = _seen(discs, x, y)
+    return relief_parameters([item.relief for item in discs], floats, -floats[:, 0], -floats[:, 1], shared, codes)
 
 
 @port_type
@@ -243,8 +266,13 @@ class NoiseField(ElevationFunction):
 
             Constant(self.height).emit(emitter, frame)
         else:
-            words = self.relief.words(emitter, frame.ox - self.x, frame.oy - self.y)
-            emitter.add(_NOISE, [self.height, self.relief.amplitude], words)
+            emitter.add(_NOISE, Pending(_everywhere, self, frame.ox, frame.oy))
+
+
+def _everywhere(fields: Sequence[NoiseField], x: Floats, y: Floats, shared: Shared) -> Parameters:
+    numbers = np.array([(item.height, item.relief.amplitude) for item in fields])
+    east, north = x - [item.x for item in fields], y - [item.y for item in fields]
+    return relief_parameters([item.relief for item in fields], numbers, east, north, shared)
 
 
 _Centre = Annotated[tuple[float, float], Param("Centre (x, y).", unit="m")]

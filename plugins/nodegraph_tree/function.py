@@ -27,7 +27,7 @@ import numpy.typing as npt
 from nodegraph import port_type
 
 if TYPE_CHECKING:
-    from nodegraph_tree.device import Emitter, Frame
+    from nodegraph_tree.device import Emitter, Fill, Frame, Kernel
 
 Floats = npt.NDArray[np.float64]
 
@@ -203,6 +203,14 @@ class ElevationFunction:
         OpenCL works in any tree.
         """
         emitter.from_host(self, frame)
+
+    @property
+    def single(self) -> tuple[Kernel, Fill] | None:
+        """What a primitive is that emits one instruction with pending parameters: its kernel and what fills them.
+
+        A blend then emits many of them in one go (`Emitter.add_each`) instead of calling `emit`.  None: anything else.
+        """
+        return None
 
     @property
     def on_device(self) -> bool:

@@ -162,8 +162,7 @@ def over(base: Bounds, layer: Bounds) -> Bounds:
         ends = max(product(1 - a, below) + product(a, layer.steepest) for a in (least, most))
         return min(ends, product(1 - least, below) + layer.flux) + pull
 
-    low = min(base.low, layer.low) if least < 1 else layer.low
-    high = max(base.high, layer.high) if least < 1 else layer.high
+    low, high = _between(base, layer, (least, most))
     flux = product(1 - least, base.flux)
     flux += product(base.weight_high, min(layer.flux, product(most, layer.steepest)) + pull)
     return Bounds(
@@ -176,6 +175,13 @@ def over(base: Bounds, layer: Bounds) -> Bounds:
         flux,
         mixed(base.steepest),
     )
+
+
+def _between(base: Bounds, layer: Bounds, shares: tuple[float, float]) -> tuple[float, float]:
+    """Bound (1 - w) f_A + w f_B for w between two numbers: linear in all three, so at ends of them."""
+    low = min(product(1 - w, base.low) + product(w, layer.low) for w in shares)
+    high = max(product(1 - w, base.high) + product(w, layer.high) for w in shares)
+    return low, high
 
 
 def grown_over(base: Bounds, layer: Bounds) -> Bounds:
@@ -197,7 +203,7 @@ def grown_over(base: Bounds, layer: Bounds) -> Bounds:
         plain = over(base, layer)
         low, high, slope, support_slope = plain.low, plain.high, plain.slope, plain.support_slope
     else:
-        low, high = min(base.low, layer.low), max(base.high, layer.high)
+        low, high = _between(base, layer, (least, 1.0))  # w >= a
         turned = layer.weight_slope + STEEPEST * (sqrt(2) - 1) * base.weight_slope
         mean = max(base.slope, base.steepest, layer.slope, layer.steepest)
         parts = present_slope(base) + max(layer.slope, min(layer.flux, layer.steepest))

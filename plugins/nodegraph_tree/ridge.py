@@ -14,6 +14,7 @@ from nodegraph_tree.function import ElevationFunction
 from nodegraph_tree.geometry import CurveKind
 from nodegraph_tree.layout import Stations, joined, line_of
 from nodegraph_tree.profile import Section
+from nodegraph_tree.union import union
 
 
 @node(version=1)
@@ -45,7 +46,8 @@ def ridge(
 
     with v the concavity: the flanks fall by (1 + v) drop / radius at the crest and (1 - v) drop / radius at the foot.
     Within `crest` of the middle a parabola rounds the edge, and the whole is moved so that the crest stays at q_z.
-    Spurs that end within the radius of what is there already are led to its nearest point and take its height.
+    Spurs that end within the radius of what is there already are led to its nearest point and take its height.  Where
+    ridges meet, the higher one is the ground (`nodegraph_tree.union`), and the gully between them is rounded.
 
     Args:
         points: of the crest, with or without heights.
@@ -86,4 +88,8 @@ def ridge(
         lines.append(joined(spur, line, lines, kind, radius, what=f"spurs[{index}]"))
     made = Stations((0.0,), (Section(side, side),), (radius,), (core,))
     relief = Relief("ridged" if roughness else "none", roughness, wavelength, octaves, seed=seed)
-    return built(lines, made, fall_off=fall_off, relief=relief)
+    x, y = lines[0].track.nodes[0].tolist()
+    parts = [built(line, made, fall_off=fall_off, relief=relief, origin=(x, y)) for line in lines]
+    # Crests meet over half the height that is rounded off them, feet over a good part of the flanks.
+    near = max(0.25 * steep * crest, 0.01 * drop, 1e-3)
+    return union(parts, near=near, far=max(0.2 * drop, near), upward=True)

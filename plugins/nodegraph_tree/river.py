@@ -16,6 +16,7 @@ from nodegraph_tree.geometry import CurveKind, Floats, catmull_rom_spans, distin
 from nodegraph_tree.layout import Line, Stations, carried, divided, foot, heights_under, joined, line_of, resampled
 from nodegraph_tree.profile import Section, section
 from nodegraph_tree.replace import replace
+from nodegraph_tree.union import union
 
 RiverKind = Literal["stream", "river", "meander", "main_stem", "braided"]
 
@@ -58,8 +59,8 @@ def river(
 
         f(p) = q_z + c(d(p)),   alpha(p) = 1 to beyond the banks, then g, 0 at the radius
 
-    q_z is the height of the banks at the nearest point of the nearest river: that of the points, or of the terrain it
-    is linked to, or height - slope * length; with `descend` never higher than upstream.
+    q_z is the height of the banks at the nearest point of the river: that of the points, or of the terrain it is linked
+    to, or height - slope * length; with `descend` never higher than upstream.
 
     =========  ====================================================================  =======  =============
     kind       cross-section                                                         depth    valley floor
@@ -72,8 +73,10 @@ def river(
     =========  ====================================================================  =======  =============
 
     A tributary that ends within the radius of what is there already is led to its nearest point and takes its height.
-    All rivers share one distance and one continued height, so their beds join without a step.  Rivers that meander or
-    braid are two primitives: a valley along the points, and in its place (`tree.replace`) the bed along its own course.
+    Each river is a primitive, and together they are their union (`nodegraph_tree.union`): where two meet, the lower one
+    is the ground and the edge is rounded, so that beds cut through banks and valleys run into each other without a step
+    or a crease.  Rivers that meander or braid are two such unions: valleys along the points, and in their place
+    (`tree.replace`) the beds along their own courses.
 
     Args:
         terrain: what it follows if its points carry no heights.
@@ -126,7 +129,7 @@ def river(
         ratios.append(ratio if not index else np.full(len(part), widths[0] * tributary_width))
     if kind in ("meander", "braided"):
         valley = _one([_valley(0.1 * deep, level, radius, valley_slope)], radius, min(0.5 * level, 0.8 * radius))
-        around = built(lines, valley, fall_off=fall_off)
+        around = _together([built(line, valley, fall_off=fall_off) for line in lines], deep, valley_slope * radius)
         return replace(around, [_bed(kind, lines, wide, deep, np.random.default_rng(seed))])
     sizes = np.unique(np.concatenate([[item.min(), item.max()] for item in ratios]))
     if len(sizes) > 1:
@@ -142,7 +145,14 @@ def river(
         tuple(np.minimum(0.7 * sizes, 0.9 * radius).tolist()),
     )
     places = [np.interp(item, sizes, np.arange(len(sizes))) for item in ratios]
-    return built(lines, made, places, fall_off=fall_off)
+    beds = [built(line, made, place, fall_off=fall_off) for line, place in zip(lines, places, strict=True)]
+    return _together(beds, deep, valley_slope * radius)
+
+
+def _together(parts: Sequence[Curve], depth: float, rise: float) -> ElevationFunction:
+    """Unite rivers of a depth in valleys of a rise: the edges of beds are rounded a little, crests of valleys much."""
+    near = max(0.3 * depth, 1e-3)
+    return union(parts, near=near, far=max(0.3 * rise, near))
 
 
 def descending(line: Line) -> Line:
@@ -208,7 +218,9 @@ def _section(kind: RiverKind, width: float, depth: float, floor: float, radius: 
     return section([(0.0, -depth), (0.6 * half, -0.85 * depth), (half, 0.0), *sides])
 
 
-def _bed(kind: RiverKind, axes: Sequence[Line], width: float, depth: float, dice: np.random.Generator) -> Curve:
+def _bed(
+    kind: RiverKind, axes: Sequence[Line], width: float, depth: float, dice: np.random.Generator
+) -> ElevationFunction:
     """Return the bed of a river that winds about its axis: the channel of a meander, or threads."""
     lines: list[Line] = []
     count = int(dice.integers(3, 7)) if kind == "braided" else 1
@@ -222,7 +234,8 @@ def _bed(kind: RiverKind, axes: Sequence[Line], width: float, depth: float, dice
     if kind == "braided":
         half = 0.5 * width / (1.5 * count)
         bed = section([(0.0, -depth), (0.5 * half, -0.8 * depth), (half, 0.0), (1.8 * half, 0.1 * depth)])
-        return built(lines, _one([bed], 3 * half, 1.1 * half), fall_off="cubic")
+        made = _one([bed], 3 * half, 1.1 * half)
+        return _together([built(line, made, fall_off="cubic") for line in lines], depth, depth)
     half = 0.5 * width
     beds = []
     for bend in (-1.0, 0.0, 1.0):
@@ -235,8 +248,8 @@ def _bed(kind: RiverKind, axes: Sequence[Line], width: float, depth: float, dice
             (wide, 0.0), (1.3 * wide, 0.1 * depth),
         ]  # fmt: skip
         beds.append(section(points if bend >= 0 else [(-x, z) for x, z in reversed(points)]))
-    places = [_bends(line, width) for line in lines]
-    return built(lines, _one(beds, 3 * half, 1.3 * half), places, fall_off="cubic")
+    made = _one(beds, 3 * half, 1.3 * half)
+    return _together([built(line, made, _bends(line, width), fall_off="cubic") for line in lines], depth, depth)
 
 
 def _across(line: Line, spacing: float) -> tuple[Floats, Floats, Floats, Floats]:

@@ -81,7 +81,7 @@ def road(
     if shoulder > 0:
         fall.append((edge, -camber * (0.5 * width + 2 * shoulder)))
     made = stations([section(fall, "straight")], (), 1.0, radius, edge)
-    return built([line], made, fall_off=fall_off)
+    return built(line, made, fall_off=fall_off)
 
 
 def alignment(nodes: Floats, radius: float, easing: float) -> Track:

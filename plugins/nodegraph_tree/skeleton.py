@@ -4,8 +4,8 @@ r"""The skeleton of curve primitives: circular arcs that carry a height and a pl
 
 **What varies along the curve.**  The height z and the *place* among the cross-sections belong to points of the curve.
 Off it the nearest point will do only up to the medial axis, where it jumps to another branch (the other side of a
-meander, another river), and heights with it.  A `Skeleton` continues them over the plane without a step.  Each arc i
-has a field z_i(p): the height at the projection of p on the arc, run on for a short way beyond its ends.
+meander), and heights with it.  A `Skeleton` continues them over the plane without a step.  Each arc i has a field
+z_i(p): the height at the projection of p on the arc, run on beyond its ends by up to r / 4 or a quarter of its radius.
 With the distances d_i to the arcs,
 
     z(p) = 1/2 min_i (z_i(p) + L d_i(p)) + 1/2 max_i (z_i(p) - L d_i(p)),       over all i with d_i(p) < 2 r.
@@ -64,7 +64,7 @@ sqrt((3 - phi)^2 + (phi / (2 - phi))^2) / d <= 3 / d: the length of (|grad phi|,
 _CENTRE = 0.25
 """Share of an arc's radius around its centre within which the projection, undefined there, shrinks to its middle."""
 
-_MOST = 30.0
+_MOST = 10.0
 """Most that L is raised to, times what continuity needs."""
 
 _BRUTE = 256
@@ -143,6 +143,32 @@ class Skeleton:
         return found
 
     @cached_property
+    def _curvature(self) -> Floats:
+        chord = np.hypot(*(self.end - self.start).T)
+        found: Floats = np.divide(2 * np.sin(self.bend), chord, out=np.zeros_like(chord), where=chord > 0)
+        return found
+
+    @cached_property
+    def _extra(self) -> Floats:
+        """e: how far the continuation of each arc goes beyond its ends, m.
+
+        However short the arc: else the height next to it, at the slope g, would be found on arcs up to g d / L farther
+        on, where z_i + L d_i is less by up to g^2 d / (2 L), as d_i grows with the square of the way along only.  With
+        e, that way costs more than it gains: L (e + x)^2 / (2 d) > g x for all x, as e = r / 4, d <= r and L >= 3 g;
+        in bends tighter than r, e is a quarter of their radius.  Curves shorter than r reach a quarter of their length.
+        """
+        chain = np.cumsum(self._begins) - 1
+        whole = np.bincount(chain, self.lengths)[chain]
+        with np.errstate(divide="ignore"):
+            found: Floats = np.minimum(0.25 * self.radius, 0.25 / np.abs(self._curvature))
+        return np.where(self.lengths > 0, np.minimum(found, 0.25 * whole), 0.0)
+
+    @cached_property
+    def _begins(self) -> npt.NDArray[np.bool_]:
+        """Which arcs do not start where the one before ends."""
+        return np.concatenate([[True], np.any(self.start[1:] != self.end[:-1], axis=1)])
+
+    @cached_property
     def frames(self) -> Frames:
         """The arcs as they are evaluated."""
         v = self.end - self.start
@@ -150,10 +176,10 @@ class Skeleton:
         none = chord == 0
         safe = np.where(none, 1.0, chord)
         tx, ty = np.where(none, 1.0, v[:, 0] / safe), v[:, 1] / safe
-        curvature = np.where(none, 0.0, 2 * np.sin(self.bend) / safe)
+        curvature = self._curvature
         sagitta = 0.5 * chord * np.tan(0.5 * self.bend)
         length = 0.5 * self.lengths
-        extra = np.minimum(length, 0.25 * self.radius)
+        extra = self._extra
         beyond = length + 2 * extra
         angle = 0.5 * curvature * beyond
         # tan(angle) / curvature, whose limit for straight ones is beyond / 2
@@ -212,12 +238,10 @@ class Skeleton:
     def stretch(self) -> Floats:
         """How far the continued projection can be from the nearest point at distances up to 2 r, m.
 
-        A straight continuation goes e = min(l, r / 4) beyond the end of an arc of half length l; where the projection
-        folds back it stays within l + e of the middle, and the nearest point within l.
+        A continuation goes e beyond the end of an arc of half length l; where the projection folds back it stays within
+        l + e of the middle, and the nearest point within l.
         """
-        length = self.frames.length
-        extra = np.minimum(length, 0.25 * self.radius)
-        return np.where(self.frames.fold > 0, 2 * length + extra, extra)
+        return np.where(self.frames.fold > 0, 2 * self.frames.length + self._extra, self._extra)
 
     @cached_property
     def reaches(self) -> Floats:
@@ -245,9 +269,8 @@ class Skeleton:
         along = (2 * share - 1) * self.frames.length[arc]
         piece = (self.lengths / counts)[arc]
         # Runs: pieces that follow each other, begun within the same `spacing`; each reaches 2 spacings at most.
-        apart = np.concatenate([[True], np.any(self.start[1:] != self.end[:-1], axis=1)])
         run = np.floor((np.cumsum(piece) - piece) / spacing).astype(np.int64)
-        chain = np.cumsum(apart[arc] & (step == 0))
+        chain = np.cumsum(self._begins[arc] & (step == 0))
         starts = np.flatnonzero(np.concatenate([[True], (np.diff(run) != 0) | (np.diff(chain) != 0)]))
         found = []
         for value, grade in (
@@ -439,7 +462,7 @@ class Skeleton:
     @cached_property
     def _most_turned(self) -> Floats:
         k, length = np.abs(self.frames.curvature), self.frames.length
-        return np.where(k > 0, (1 + 3 * k * length) / _CENTRE, 1.0)
+        return np.where(k > 0, (1 + k * (length + self._extra)) / _CENTRE, 1.0)
 
     @cached_property
     def anywhere(self) -> Floats:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable
-from typing import Annotated, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from nodegraph import Context, Param, codec, node
 from nodegraph_tree.by_terrain import ByTerrain
-from nodegraph_tree.device import NOTHING, TILE, Emitter, Frame, Kernel, Pending
+from nodegraph_tree.device import NOTHING, TILE, Emitter, Fill, Frame, Kernel, Pending, Tile
 from nodegraph_tree.evaluate import Edges
 from nodegraph_tree.function import Box, ElevationFunction, depth, walk
 
@@ -34,21 +37,31 @@ class TreeStatistics(NamedTuple):
 class _Counter(Emitter):
     """Counts the primitives that a tile would evaluate."""
 
-    def __init__(self, leaves: dict[int, int], detail: float) -> None:
+    def __init__(self, leaves: dict[int, int]) -> None:
         super().__init__()
         self.calls = 0
-        self.detail = detail
         self._leaves = leaves
 
     def add(
         self,
         kernel: Kernel,
-        floats: Iterable[float] = (),  # noqa: ARG002
-        ints: Iterable[int | Pending] = (),  # noqa: ARG002
+        floats: Iterable[float] | Pending = (),  # noqa: ARG002
+        ints: Iterable[int] = (),  # noqa: ARG002
         *,
         pushes: int = 1,
     ) -> None:
         self.calls += pushes > 0 and kernel.name != NOTHING.name
+
+    def add_each(
+        self,
+        kernel: Kernel,  # noqa: ARG002
+        fill: Fill,  # noqa: ARG002
+        owners: Sequence[Any],
+        frame: Frame,  # noqa: ARG002
+        blocks: npt.NDArray[np.int32],  # noqa: ARG002
+        then: Kernel,  # noqa: ARG002
+    ) -> None:
+        self.calls += len(owners)
 
     def from_host(self, node: ElevationFunction, frame: Frame) -> None:  # noqa: ARG002
         self.calls += self._leaves[id(node)]
@@ -143,13 +156,13 @@ def _calls(
         return None
     rows, cols = shape
     dx, dy = (box.east - box.west) / cols, (box.north - box.south) / rows
-    counter, total = _Counter(leaves, detail), 0
+    counter, total = _Counter(leaves), 0
     for top in range(0, rows, TILE):
         context.progress(top / rows)
         for left in range(0, cols, TILE):
             high, wide = min(TILE, rows - top), min(TILE, cols - left)
             ox, oy = box.west + left * dx, box.north - top * dy
-            counter.calls = 0
-            root.emit(counter, Frame(Box(ox, oy - high * dy, ox + wide * dx, oy), ox, oy))
+            counter.calls, counter.tile = 0, Tile(Frame(Box(ox, oy - high * dy, ox + wide * dx, oy), ox, oy), detail)
+            root.emit(counter, counter.tile.frame)
             total += counter.calls * high * wide
     return total / (rows * cols)

@@ -17,7 +17,8 @@ unchanged, bit for bit.
 
 **Bounds.**  In a box where |d| <= m and the largest singular value of J is at most sigma, the tree is bounded by that
 of the operand in the box grown by m, or in the box of half size sigma * half diagonal around the image of the centre;
-slopes and fluxes times sigma.
+slopes and fluxes times sigma.  `Distort` bounds both components of d in the box, each from below and above, and moves
+the edges of the box by that.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ import numpy.typing as npt
 from nodegraph import port_type
 from nodegraph_terrain.noise import Noise, origins_of
 from nodegraph_tree.affine import largest_singular_value
-from nodegraph_tree.device import FOLDER, Frame, Kernel, Pending
+from nodegraph_tree.device import FOLDER, Frame, Kernel, Parameters, Pending
 from nodegraph_tree.falloff import STEEPEST, derivative, fall_off, steepest_between
 from nodegraph_tree.function import ABSENT, Bounds, Box, ElevationFunction, Floats, Points, Sample, product
 
 if TYPE_CHECKING:
-    from nodegraph_tree.device import Emitter
+    from nodegraph_tree.device import Emitter, Shared
 
 _TWIST, _BEND, _DISTORT = (Kernel(f"tree_{name}", FOLDER / "warp.cl") for name in ("twist", "bend", "distort"))
 _LEAVE = Kernel("tree_leave", FOLDER / "basic.cl")
 
 
-Instruction = tuple[Kernel, list[float], list[int | Pending]]
+Instruction = tuple[Kernel, list[float] | Pending, list[int]]
 
 
 class Shift(NamedTuple):
@@ -117,6 +118,11 @@ class Warp(ElevationFunction):
         x, y = x + float(moved.x[0]), y + float(moved.y[0])
         return grown.intersection(Box(x - half, y - half, x + half, y + half))
 
+    def closely(self, box: Box) -> tuple[Box, float]:
+        """Return a box around the image of a box, and the stretch in it, as tight as bounds deserve."""
+        reach = self.reach(box)
+        return box if reach == _STILL else self.carried(box, reach), reach.stretch
+
     def query(self, points: Points, *, gradient: bool = False) -> Sample:
         """Ask the operand at the displaced points; gradients are multiplied by the transposed Jacobian."""
         moved = self.shift(points.x, points.y, gradient=gradient)
@@ -132,17 +138,15 @@ class Warp(ElevationFunction):
 
     def bounds(self, box: Box, detail: float = 1.0) -> Bounds:
         """Bound the operand in the carried box; slopes grow by the largest singular value of the Jacobian."""
-        reach = self.reach(box)
-        if reach == _STILL:
-            return self.operand.bounds(box, detail)
-        inner = self.operand.bounds(self.carried(box, reach), detail)
+        inside, stretch = self.closely(box)
+        inner = self.operand.bounds(inside, detail)
         if inner.absent:
             return ABSENT
         return inner._replace(
-            slope=product(reach.stretch, inner.slope),
-            weight_slope=product(reach.stretch, inner.weight_slope),
-            flux=product(reach.stretch, inner.flux),
-            support_slope=product(reach.stretch, inner.support_slope),
+            slope=product(stretch, inner.slope),
+            weight_slope=product(stretch, inner.weight_slope),
+            flux=product(stretch, inner.flux),
+            support_slope=product(stretch, inner.support_slope),
         )
 
     def emit(self, emitter: Emitter, frame: Frame) -> None:
@@ -401,20 +405,27 @@ class Distort(Warp):
         """The same everywhere."""
         return Reach(self.farthest, 1 + self.lipschitz) if self.amplitude else _STILL
 
-    def instruction(self, emitter: Emitter, frame: Frame, to: tuple[float, float]) -> Instruction:
+    def closely(self, box: Box) -> tuple[Box, float]:
+        """Bound both components of d by what their noises are in the box, and |J| by 1 + |grad d|."""
+        found = [noise.bounds_in(*box) for noise in self.noises]
+        (west, east), (south, north) = (sorted((self.amplitude * low, self.amplitude * high)) for low, high, _ in found)
+        stretch = 1 + abs(self.amplitude) * hypot(*(slope for _, _, slope in found))
+        return Box(box.west + west, box.south + south, box.east + east, box.north + north), stretch
+
+    def instruction(self, emitter: Emitter, frame: Frame, to: tuple[float, float]) -> Instruction:  # noqa: ARG002
         """The tables of both noises, which all tiles share, and the frame's origin on their lattices."""
-        tables = [emitter.shared.place(table) for table in self._tables]
-        lattices = 4 * len(self.noises[0].lattices)
-        origins = [Pending(_origins, noise, frame.ox, frame.oy, lattices) for noise in self.noises]
-        return _DISTORT, [self.amplitude, *to], [*tables, lattices, *origins]
+        return _DISTORT, Pending(_distort, (self, to), frame.ox, frame.oy), []
 
     @cached_property
     def _tables(self) -> list[npt.NDArray[np.float32]]:
         return [noise.table().view(np.float32) for noise in self.noises]
 
 
-def _origins(noises: Sequence[Noise], x: Floats, y: Floats) -> npt.NDArray[np.int32]:
-    return origins_of(noises, x, y).view(np.int32)
+def _distort(owners: Sequence[tuple[Distort, tuple[float, float]]], x: Floats, y: Floats, shared: Shared) -> Parameters:
+    floats = np.array([(item.amplitude, *to) for item, to in owners])
+    heads = [(*map(shared.place, item._tables), 4 * len(item.noises[0].lattices)) for item, _ in owners]
+    origins = origins_of([noise for item, _ in owners for noise in item.noises], np.repeat(x, 2), np.repeat(y, 2))
+    return Parameters(floats, np.array(heads), origins.view(np.int32), 2 * np.array(heads)[:, 2])
 
 
 def twist(operand: ElevationFunction, *, centre: tuple[float, float], radius: float, angle: float) -> ElevationFunction:

@@ -2,19 +2,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nodegraph_terrain import gradient_noise as base
-from nodegraph_terrain.gradient_noise import LIPSCHITZ, gradient_noise
+from nodegraph_terrain.gradient_noise import CURVATURE, LIPSCHITZ, gradient_noise
 from nodegraph_terrain.noise import KINDS, MOST, Noise, origins_of
 
 DICE = np.random.default_rng(11)
+Floats = npt.NDArray[np.float64]
 
 
 def points(count: int, span: float = 1e4, about: float = 0.0, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -47,6 +49,9 @@ def noises(draw: Any) -> Noise:
 # The gradient noise itself.
 
 
+Derivatives = Callable[[Floats, Floats, Floats], Iterator[tuple[list[Floats], list[Floats]]]]
+
+
 def test_slope_bound_is_certified() -> None:
     """Bisect the cell and the directions until a bound of sum |v_c| over each box is below the constant.
 
@@ -54,38 +59,96 @@ def test_slope_bound_is_certified() -> None:
     a box of half width h (from |s'| <= 15/8, |s''| <= 5.774, |s'''| <= 60), and a sum of norms of linear functions is
     convex: greatest at a corner of the box.  By symmetry half the cell and half the circle will do.
     """
-    limit = LIPSCHITZ / math.sqrt(2)
+    _certify(_first, 400, LIPSCHITZ / math.sqrt(2))
+
+
+def test_curvature_bound_is_certified() -> None:
+    """The same for e^T H e = sum g_c . v_c, H the second derivatives, v_c = (e^T H(w_c) e)(p - c) + 2 (grad w_c . e) e.
+
+    For a symmetric H its greatest is also the most by which the gradient changes.  Half of the second derivatives of
+    v_c by place and angle, summed over the corners, is at most 4000 (with |s''''| <= 360): 2065 + 354 + 354 by place,
+    925 by place and angle, 95 by angle.
+    """
+    _certify(_second, 4000, CURVATURE / math.sqrt(2))
+
+
+def _certify(derivatives: Derivatives, remainder: float, limit: float) -> None:
     turns = np.array(list(itertools.product((-1, 1), repeat=3)))
     half = 1 / 40
     axes = [np.arange(half, end + half, 2 * half) for end in (0.5, 0.5, math.pi)]
     boxes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     while len(boxes):
         assert half > 1e-4
-        boxes = boxes[_greatest(boxes, half * turns) + 400 * half**2 > limit]
+        boxes = boxes[_greatest(derivatives, boxes, half * turns) + remainder * half**2 > limit]
         half /= 2
         boxes = (boxes[:, None] + half * turns).reshape(-1, 3)
 
 
-def _greatest(boxes: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    x, y, angle = boxes.T
-    ex, ey = np.cos(angle), np.sin(angle)
-    # Fade and its two derivatives, from the upper side and from the lower one.
-    along = [
-        np.stack([t**3 * (t * (6 * t - 15) + 10), 30 * (t * t - t) ** 2, 60 * t * (t - 1) * (2 * t - 1)])
-        for t in (x, y)
-    ]
-    one = np.array([1.0, 0.0, 0.0])[:, None]
-    total = np.zeros((len(x), len(corners)))
-    for i, j in itertools.product((0, 1), repeat=2):
-        a, b = (along[0] if i else one - along[0]), (along[1] if j else one - along[1])
-        px, py = x - i, y - j
-        w, wx, wy, wxx, wxy, wyy = a[0] * b[0], a[1] * b[0], a[0] * b[1], a[2] * b[0], a[1] * b[1], a[0] * b[2]
-        g, gx, gy, turned = wx * ex + wy * ey, wxx * ex + wxy * ey, wxy * ex + wyy * ey, wy * ex - wx * ey
-        east = (w * ex + g * px, wx * ex + gx * px + g, wy * ex + gy * px, turned * px - w * ey)
-        north = (w * ey + g * py, wx * ey + gx * py, wy * ey + gy * py + g, w * ex + turned * py)
-        linear = [v[0][:, None] + sum(np.outer(v[k + 1], corners[:, k]) for k in range(3)) for v in (east, north)]
+def _greatest(derivatives: Derivatives, boxes: Floats, corners: Floats) -> Floats:
+    total = np.zeros((len(boxes), len(corners)))
+    for vector in derivatives(*boxes.T):
+        linear = [v[0][:, None] + sum(np.outer(v[k + 1], corners[:, k]) for k in range(3)) for v in vector]
         total += np.hypot(*linear)
     return np.asarray(total.max(axis=1))
+
+
+def _weights(x: Floats, y: Floats) -> Iterator[tuple[Floats, Floats, list[list[Floats]]]]:
+    """Yield p - c of each corner and its w_c, differentiated i times by x and j times by y at [i][j]."""
+    # Fade and its derivatives, from the upper side and from the lower one.
+    along = [
+        (
+            t**3 * (t * (6 * t - 15) + 10),
+            30 * (t * t - t) ** 2,
+            60 * t * (t - 1) * (2 * t - 1),
+            60 * (6 * t * (t - 1) + 1),
+        )
+        for t in (x, y)
+    ]
+    for i, j in itertools.product((0, 1), repeat=2):
+        a, b = (
+            side if far else (1 - side[0], *(-item for item in side[1:]))
+            for side, far in zip(along, (i, j), strict=True)
+        )
+        yield x - i, y - j, [[one * other for other in b] for one in a]
+
+
+def _first(x: Floats, y: Floats, angle: Floats) -> Iterator[tuple[list[Floats], list[Floats]]]:
+    """Yield the components of v_c with their derivatives by x, y and the angle of e."""
+    ex, ey = np.cos(angle), np.sin(angle)
+    for px, py, w in _weights(x, y):
+        one = w[0][0]
+        g, turned = w[1][0] * ex + w[0][1] * ey, w[0][1] * ex - w[1][0] * ey
+        gx, gy = w[2][0] * ex + w[1][1] * ey, w[1][1] * ex + w[0][2] * ey
+        yield (
+            [one * ex + g * px, w[1][0] * ex + gx * px + g, w[0][1] * ex + gy * px, turned * px - one * ey],
+            [one * ey + g * py, w[1][0] * ey + gx * py, w[0][1] * ey + gy * py + g, one * ex + turned * py],
+        )
+
+
+def _second(x: Floats, y: Floats, angle: Floats) -> Iterator[tuple[list[Floats], list[Floats]]]:
+    ex, ey = np.cos(angle), np.sin(angle)
+    for px, py, w in _weights(x, y):
+        g, turned = w[1][0] * ex + w[0][1] * ey, w[0][1] * ex - w[1][0] * ey
+        gx, gy = w[2][0] * ex + w[1][1] * ey, w[1][1] * ex + w[0][2] * ey
+        q, qx, qy = (
+            w[2 + i][j] * ex * ex + 2 * w[1 + i][1 + j] * ex * ey + w[i][2 + j] * ey * ey
+            for i, j in ((0, 0), (1, 0), (0, 1))
+        )
+        qa = 2 * ((w[0][2] - w[2][0]) * ex * ey + w[1][1] * (ex * ex - ey * ey))
+        yield (
+            [
+                q * px + 2 * g * ex,
+                qx * px + q + 2 * gx * ex,
+                qy * px + 2 * gy * ex,
+                qa * px + 2 * (turned * ex - g * ey),
+            ],
+            [
+                q * py + 2 * g * ey,
+                qx * py + 2 * gx * ey,
+                qy * py + q + 2 * gy * ey,
+                qa * py + 2 * (turned * ey + g * ex),
+            ],
+        )
 
 
 def middles() -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -104,6 +167,19 @@ def test_slope_comes_close_to_its_bound_and_never_passes_it() -> None:
         around = gradient_noise(u[top] + near[0], v[top] + near[1], 3, True)
         greatest = max(greatest, float(steep.max()), float(np.hypot(*around[1:]).max()))
     assert 0.97 * LIPSCHITZ < greatest <= LIPSCHITZ
+
+
+def test_gradients_change_almost_as_fast_as_their_bound_and_never_faster() -> None:
+    step, greatest = 1e-5, 0.0
+    for u, v in itertools.islice(middles(), 1):
+        # The greatest is at 0.144 from the middle along both axes, in that direction.
+        for x, y in itertools.product((-1, 1), repeat=2):
+            before, after = (
+                np.array(gradient_noise(u + (0.1445 + far) * x, v + (0.1445 + far) * y, 3, True)[1:])
+                for far in (-step, step)
+            )
+            greatest = max(greatest, float(np.hypot(*(after - before)).max()) / (2 * math.sqrt(2) * step))
+    assert 0.95 * CURVATURE < greatest <= CURVATURE
 
 
 def test_value_comes_close_to_its_bound_and_never_passes_it() -> None:
@@ -264,6 +340,75 @@ def test_bounds_and_slope_bounds_hold(noise: Noise, kappa: float | None, about: 
         x, y = x[top] + near[0], y[top] + near[1]
     distances = np.hypot(np.diff(x), np.diff(y))
     assert (np.abs(np.diff(noise.value(x, y, weights=weights))) <= steepest * distances * (1 + 1e-6) + 1e-9).all()
+
+
+@settings(max_examples=120)
+@given(
+    noise=noises(),
+    kappa=st.one_of(st.none(), st.floats(0, 1)),
+    shape=st.tuples(st.floats(-5, 1), st.floats(-5, 1)),
+    about=st.sampled_from([0.0, 1e6]),
+    seed=st.integers(0, 99),
+)
+def test_bounds_in_a_box_hold(
+    noise: Noise, kappa: float | None, shape: tuple[float, float], about: float, seed: int
+) -> None:
+    """Climb towards the steepest, the highest and the lowest places of boxes from 1e-5 to 10 wavelengths."""
+    weights = None if kappa is None else noise.weights(kappa)
+    dice = np.random.default_rng(seed)
+    size = 10 ** np.array(shape)[:, None] * noise.wavelength
+    corner = dice.uniform(-50, 50, (2, 1)) * noise.wavelength + about
+    west, south, east, north = np.concatenate([corner, corner + size]).ravel().tolist()
+    low, high, steepest = noise.bounds_in(west, south, east, north, weights)
+    assert noise.bounds(weights)[0] <= low <= high <= noise.bounds(weights)[1]
+    assert steepest <= noise.lipschitz(weights)
+    place = dice.random((2, 1200))
+    place[:, :4] = [[0, 0, 1, 1], [0, 1, 0, 1]]
+    for reach in (0.1, 0.02, 0.004):
+        sample = noise.sample(*(corner + place * size), weights=weights)
+        slopes = np.hypot(sample.east, sample.north)
+        assert low - 1e-13 <= sample.value.min()
+        assert sample.value.max() <= high + 1e-13
+        assert slopes.max() <= steepest * (1 + 1e-12) + 1e-13 / noise.wavelength
+        best = np.concatenate([np.argsort(item)[-10:] for item in (slopes, sample.value, -sample.value)]).repeat(40)
+        place = np.clip(place[:, best] + dice.normal(0, reach, (2, best.size)), 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("kind", "near", "wide"),
+    [("gradient", 0.8, 0.8), ("fbm", 0.55, 0.45), ("billow", 0.5, 0.45), ("ridged", 0.38, 0.22),
+     ("hybrid", 0.45, 0.15), ("warped", 0.45, 0.35)],
+)  # fmt: skip
+def test_bounds_in_a_small_box_are_tight(kind: Any, near: float, wide: float) -> None:
+    """How much of the bound of the slope is reached in boxes of 0.02 and of 0.1 wavelengths, with 8 octaves."""
+    noise = Noise(kind, 8, 1000.0, seed=3)
+    for size, least in ((20.0, near), (100.0, wide)):
+        shares = []
+        for x, y in DICE.uniform(-1e5, 1e5, (20, 2)):
+            low, high, steepest = noise.bounds_in(x, y, x + size, y + size)
+            sample = noise.sample(x + DICE.uniform(0, size, 3000), y + DICE.uniform(0, size, 3000))
+            shares.append(np.hypot(sample.east, sample.north).max() / steepest)
+            assert high - low <= math.sqrt(2) * size * steepest * (1 + 1e-9)
+        assert np.median(shares) > least
+
+
+def test_bounds_in_boxes_of_all_sizes() -> None:
+    noise = Noise("fbm", 6, 100.0, seed=4)
+    everywhere = (*noise.bounds(), noise.lipschitz())
+    for box in ((-math.inf, -math.inf, math.inf, math.inf), (0.0, -math.inf, 1.0, math.inf), (-1e9, -1e9, 1e9, 1e9),
+                (-1e308, 0.0, 1e308, 1.0), (1e13, 1e13, 1e13 + 1, 1e13 + 1)):  # fmt: skip
+        assert noise.bounds_in(*box) == everywhere
+    for x, y in ((3.0, 4.0), (-7e5, 2e6)):
+        sample = noise.sample(x, y)
+        low, high, steepest = noise.bounds_in(x, y, x, y)
+        assert low <= sample.value <= high <= low + 1e-9
+        assert np.hypot(sample.east, sample.north) <= steepest <= 1.0001 * np.hypot(sample.east, sample.north)
+    assert noise.bounds_in(0.0, 0.0, 1.0, 1.0, np.zeros(6)) == (0.0, 0.0, 0.0)
+    # A box inside another.
+    outer, inner = noise.bounds_in(0.0, 0.0, 64.0, 64.0), noise.bounds_in(20.0, 30.0, 24.0, 34.0)
+    assert outer[0] <= inner[0]
+    assert inner[1] <= outer[1]
+    assert inner[2] <= outer[2]
 
 
 @given(noise=noises(), kappas=st.tuples(st.floats(0, 1), st.floats(0, 1)))

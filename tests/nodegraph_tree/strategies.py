@@ -34,6 +34,7 @@ from nodegraph_tree.replace import Replace
 from nodegraph_tree.ridge import ridge
 from nodegraph_tree.river import river
 from nodegraph_tree.road import road
+from nodegraph_tree.union import Union
 from nodegraph_tree.warp import bend, distort, twist
 
 CENTRE = (150_000.0, 150_000.0)
@@ -189,6 +190,7 @@ def operators(parts: Trees) -> Trees:
         st.builds(Replace, parts, lists.map(tuple), st.booleans()),
         st.builds(Add, parts, parts, st.booleans()),
         st.builds(Carve, parts, parts, st.sampled_from([0.0, 5.0, 60.0]), st.booleans()),
+        st.builds(Union, st.tuples(parts, parts), st.just(2.0), st.sampled_from([2.0, 80.0]), st.booleans()),
         st.builds(
             by_terrain,
             parts,

@@ -17,7 +17,7 @@ from nodegraph_tree.basic import Plane
 from nodegraph_tree.blend import blend
 from nodegraph_tree.curve import Curve, curve
 from nodegraph_tree.disc import disc, noise
-from nodegraph_tree.function import THRESHOLD, Box, Points, numeric_gradient, walk
+from nodegraph_tree.function import THRESHOLD, Box, ElevationFunction, Points, numeric_gradient, walk
 from nodegraph_tree.geometry import bezier_spans, catmull_rom_spans, trace
 from nodegraph_tree.layout import divided, line_of
 from nodegraph_tree.replace import replace
@@ -307,22 +307,62 @@ def test_rivers_join_without_a_step(kind: Any, device: Any) -> None:
     tree = replace(
         Plane(60.0, 0.0, 0.0), [river(points=_MAIN, tributaries=(_SIDE,), kind=kind, width=16.0, radius=150.0, seed=5)]
     )
-    parts = [node for node in walk(tree) if isinstance(node, Curve)]
-    assert parts
-    for part in parts:
-        steepest = part.bounds(part.support).support_slope
-        # A fine net over the junction.
-        extent = Extent(X0 - 60, Y0 + 40, X0 + 60, Y0 + 160)
-        sample = part.query(grid(extent, (300, 300)))
-        f, on = sample.height.reshape(300, 300), sample.weight.reshape(300, 300) > 0
-        for axis in (0, 1):
-            both = on & np.roll(on, 1, axis)
-            step = np.abs(f - np.roll(f, 1, axis))
-            both[:1], both[:, :1] = False, False
-            assert step[both].max(initial=0) <= 0.4 * steepest * SLACK
-            assert step[both].max(initial=0) < 1.5  # in fact: banks are this steep, junctions are not
+    assert any(isinstance(node, Curve) for node in walk(tree))
+    # A fine net over the junction.
+    extent = Extent(X0 - 60, Y0 + 40, X0 + 60, Y0 + 160)
+    box = Box(extent.west, extent.south, extent.east, extent.north)
+    f = tree.query(grid(extent, (300, 300))).height.reshape(300, 300)
+    step = max(np.abs(np.diff(f, axis=axis)).max() for axis in (0, 1))
+    assert step <= 0.4 * tree.bounds(box).slope * SLACK
+    assert step < 1.0  # in fact: banks are this steep, junctions are not
     height, _ = on_device(tree, EXTENT, (128, 128), device)
     np.testing.assert_allclose(height, tree.query(grid(EXTENT, (128, 128))).height, atol=0.01)
+
+
+def _crease(tree: ElevationFunction, x: float, y: float, radii: tuple[float, ...]) -> float:
+    """Return the greatest jump of the gradient on circles: what is left of its greatest changes on ways 0.1 mm long."""
+    found = []
+    for radius in radii:
+        turn = np.linspace(0, 2 * np.pi, 20001)
+        points = Points(x + radius * np.cos(turn), y + radius * np.sin(turn))
+        sample = tree.query(points, gradient=True)
+        assert sample.height_gradient is not None
+        on = np.minimum(sample.weight[1:], sample.weight[:-1]) > 0.02  # at the edge of the support nothing is seen
+        change = np.where(on, np.hypot(*np.diff(sample.height_gradient, axis=1)), 0.0)
+        for place in np.argsort(change)[-40:].tolist():
+            fine = np.linspace(turn[place], turn[place + 1], 1 + int(2 * np.pi * radius / 20000 / 1e-4))
+            near = tree.query(Points(x + radius * np.cos(fine), y + radius * np.sin(fine)), gradient=True)
+            assert near.height_gradient is not None
+            found.append(float(np.hypot(*np.diff(near.height_gradient, axis=1)).max()))
+    return max(found)
+
+
+def test_confluences_have_no_creases() -> None:
+    # The valleys of three branches and the beds in them; the spurs of a ridge.
+    water = river(
+        points=((X0 - 1200, Y0 - 200, 300), (X0, Y0, 285), (X0 + 1200, Y0 + 100, 270)), width=(30.0, 60.0), depth=9.0,
+        tributaries=(((X0 - 1000, Y0 + 900, 330), (X0 - 400, Y0 + 450, 300), (X0, Y0, 285)),), radius=300.0,
+    )  # fmt: skip
+    crest = ridge(
+        points=((X0 - 1200, Y0, 500), (X0, Y0 + 60, 520), (X0 + 1200, Y0, 480)), radius=300.0, drop=150.0, crest=30.0,
+        spurs=(((X0 + 300, Y0 + 900, 380), (X0 + 150, Y0 + 400, 450), (X0, Y0 + 60, 520)),),
+    )  # fmt: skip
+    for tree in (water, crest):
+        smooth = _crease(tree, X0 + 800, Y0, (25.0, 80.0, 250.0))
+        assert smooth < 1e-3
+        # As smooth as far from it.  By the nearest point on one skeleton of all branches it would be 1.5 and 1.2.
+        assert _crease(tree, X0, Y0, (25.0, 80.0, 160.0, 250.0)) < 5 * smooth + 1e-4
+
+
+def test_heights_beside_short_arcs_are_those_of_the_nearest_point() -> None:
+    # Arcs of centimetres between long ones.
+    track = ((0, 0, 0), (200, 0, 30), *((200 + 0.02 * k, 0, 30 + 0.003 * k) for k in range(1, 40)), (400, 0, 60))
+    tree = curve(points=track, kind="polyline", radius=30.0)
+    x, y = (item.ravel() for item in np.meshgrid(np.linspace(180, 220, 401), np.linspace(-25, 25, 21)))
+    sample = tree.query(Points(x, y), gradient=True)
+    np.testing.assert_allclose(sample.height, 0.15 * x, atol=0.005)
+    assert sample.height_gradient is not None
+    assert np.abs(sample.height_gradient[0] - 0.15).max() < 0.01
 
 
 def test_two_rivers_that_meet_blend_without_a_step() -> None:

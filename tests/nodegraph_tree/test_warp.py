@@ -64,13 +64,25 @@ def test_the_plane_is_not_folded_and_bounds_hold(warp: Warp) -> None:
         assert np.hypot(found.x, found.y).max() <= reach.shift * (1 + 1e-9) + 1e-9
         jacobian = np.array([[1 + found.xx, found.xy], [found.yx, 1 + found.yy]]).transpose(2, 0, 1)
         assert np.linalg.det(jacobian).min() > 0
-        assert np.linalg.norm(jacobian, 2, axis=(1, 2)).max() <= reach.stretch * (1 + 1e-9)
-        carried = warp.carried(box, reach)
         x, y = points.x + found.x, points.y + found.y
-        assert carried.west <= x.min() + 1e-6
-        assert x.max() <= carried.east + 1e-6
-        assert carried.south <= y.min() + 1e-6
-        assert y.max() <= carried.north + 1e-6
+        for carried, stretch in ((warp.carried(box, reach), reach.stretch), warp.closely(box)):
+            assert np.linalg.norm(jacobian, 2, axis=(1, 2)).max() <= stretch * (1 + 1e-9)
+            assert carried.west <= x.min() + 1e-6
+            assert x.max() <= carried.east + 1e-6
+            assert carried.south <= y.min() + 1e-6
+            assert y.max() <= carried.north + 1e-6
+
+
+def test_a_distortion_by_noise_is_bounded_where_it_is_asked() -> None:
+    warp = Distort(GROUND, 60.0, 900.0, 2, 0.5, 4)
+    sizes, stretches = [], []
+    for x, y in np.random.default_rng(2).uniform(-1e4, 1e4, (20, 2)):
+        inside, stretch = warp.closely(Box(x, y, x + 50.0, y + 50.0))
+        sizes.append(max(inside.east - inside.west, inside.north - inside.south))
+        stretches.append(stretch - 1)
+    assert np.median(sizes) < 70
+    assert np.median(stretches) < 0.7 * warp.lipschitz
+    assert warp.closely(Box(*[-np.inf] * 2, *[np.inf] * 2)) == (Box(*[-np.inf] * 2, *[np.inf] * 2), 1 + warp.lipschitz)
 
 
 def test_the_stretch_is_tight_somewhere() -> None:

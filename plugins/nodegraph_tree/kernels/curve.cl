@@ -1,6 +1,6 @@
 // Curves: circular arcs with cross-sections.  skeleton.py and curve.py say what is computed here and why.
 
-#include "noise.h"
+#include "relief.h"
 #include "tree.h"
 
 #define CURVE_ARC 16
@@ -140,14 +140,10 @@ static void tree_curve(State *s, P p, N n, D data)
     push(s, a > 0.0f ? 0.5f * (low + high) + c : (float8)(0.0f), a);
 }
 
-// Roughness on top of what was pushed last; p = {amplitude}, n = {noise table, filtered, origins...}
+// Roughness on top of what was pushed last; p = {amplitude}, n = {noise's table, origins...}
 static void tree_curve_rough(State *s, P p, N n, D data)
 {
     if (!any(s->a[s->top] > 0.0f))
         return;
-    __global const NoiseSum *sum = noise_at((__global const uint *)data, n[0]);
-    __global const NoiseOrigin *origin = noise_origin((__global const uint *)(n + 2), 0);
-    const float8 rough = n[1] ? noise_value_lod(sum, origin, s->x, s->y, s->detail)
-                              : noise_value(sum, origin, s->x, s->y);
-    s->f[s->top] += s->a[s->top] > 0.0f ? p[0] * rough : (float8)(0.0f);
+    s->f[s->top] += s->a[s->top] > 0.0f ? p[0] * tree_relief(s, data, n[0], n + 1) : (float8)(0.0f);
 }

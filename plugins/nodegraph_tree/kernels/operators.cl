@@ -99,3 +99,19 @@ static void tree_level_of_detail(State *s, P p, N n, D data)
     s->f[s->top] = (1.0f - share) * s->f[s->top] + share * f;
     s->a[s->top] = (1.0f - t) * s->a[s->top] + t * a;
 }
+
+// Union: the lower of the top B and A below it, or the higher, rounded; p = {k where both are in full, k where one ends},
+// n = {0 lower, 1 higher}
+static void tree_union(State *s, P p, N n, D data)
+{
+    const float8 g = s->f[s->top], b = fmin(s->a[s->top], 1.0f);
+    s->top--;
+    const float8 f = s->f[s->top], a = fmin(s->a[s->top], 1.0f);
+    const float sign = n[0] ? -1.0f : 1.0f;
+    const float8 both = a * b, all = a + (1.0f - a) * b, k = p[1] - (p[1] - p[0]) * both;
+    const float8 deep = sign * (f - g), share = clamp((deep + k) / (2.0f * k), 0.0f, 1.0f);
+    const float8 smooth = deep < k ? k * share * share : deep;
+    const float8 step = all > 0.0f ? b * ((1.0f - a) * deep + a * smooth) / all : (float8)(0.0f);
+    s->f[s->top] = a > 0.0f ? f - sign * step : b > 0.0f ? g : (float8)(0.0f);
+    s->a[s->top] = all;
+}

@@ -18,6 +18,7 @@ typedef struct {
     float8 xs[FRAMES], ys[FRAMES];      // coordinates of the frames around
     int top, frame;
     int column, row;                    // place of the first sample in its tile
+    int block;                          // the block of the tile that holds the samples, as a bit; all bits: not known
 } State;
 
 static inline void push(State *s, float8 f, float8 a)
