@@ -153,6 +153,8 @@ def _digest_of(item: Any, memo: dict[int, bytes]) -> bytes:
     if children is None:
         raise _refuse(item)
     parts = [b"T" if names is None else b"O" + key_of(type(item)).encode()]
+    if getattr(type(item), "computes", False):
+        parts.append(_code_of(type(item), memo))
     for position, child in enumerate(children):
         parts.append(names[position].encode() if names else b"")
         digest = memo.get(id(child)) if _children(child) is not None else _leaf_digest(child)
@@ -160,6 +162,15 @@ def _digest_of(item: Any, memo: dict[int, bytes]) -> bytes:
             raise _refuse(child)
         parts.append(digest)
     return xxh3_128_digest(b"\0".join([len(part).to_bytes(4, "little") + part for part in parts]))
+
+
+def _code_of(cls: type, memo: dict[int, bytes]) -> bytes:
+    """Return the fingerprint of a class whose values are functions; each class is looked at once for a value."""
+    if id(cls) not in memo:
+        from nodegraph.plan import fingerprints
+
+        memo[id(cls)] = fingerprints().of_class(cls)
+    return memo[id(cls)]
 
 
 def _leaf_digest(item: Any) -> bytes | None:

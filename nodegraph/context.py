@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Callable
 from functools import cached_property
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from nodegraph.errors import Cancelled
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from nodegraph.opencl import Device
+
+T = TypeVar("T")
 
 
 class Context:
@@ -38,6 +40,7 @@ class Context:
         device: Device | None = None,
         cancelled: Event | None = None,
         report: Callable[[float | None, str], None] | None = None,
+        remember: Callable[[Any, Callable[[], Any]], Any] | None = None,
     ) -> None:
         self.node = node
         self.device = device
@@ -45,6 +48,7 @@ class Context:
         self._seed = seed
         self._cancelled = cancelled
         self._report = report
+        self._remember = remember
 
     def progress(self, fraction: float | None = None, message: str = "") -> None:
         """Report how much is done, 0 to 1 (None: unknown), and stop here if the run was cancelled.
@@ -59,6 +63,19 @@ class Context:
             raise Cancelled(f"node '{self.node}' was cancelled")
         if self._report is not None:
             self._report(fraction, message)
+
+    def remembered(self, what: Any, compute: Callable[[], T]) -> T:
+        """Return what `compute` gives: from the cache, where this node type computed it before for an equal `what`.
+
+        For long work in parts, such as the frames of a film.  Each part is kept as soon as it is there: a run that was
+        cancelled, failed or killed goes on where it was, and another run shares the parts that are the same.
+
+        Args:
+            what: a value (port types, tuples, scalars, strings, arrays) that says all that the part depends on, beside
+                the node's code and device.
+            compute: called where nothing is remembered; gives a value of a port type.
+        """
+        return compute() if self._remember is None else self._remember(what, compute)
 
     @cached_property
     def log(self) -> logging.Logger:

@@ -2,8 +2,9 @@
 
 It covers the module that declares the node, every module of a plugin package that this one imports (followed through
 their import statements, without importing anything), and the OpenCL files they name: string constants ending in
-``.cl``, beside the module, with the headers these include.  A package's ``__init__`` counts only where a name is
-imported from it, so that editing one module of a plugin leaves the nodes of the others alone.
+``.cl``, beside the module or in a folder there, with the headers these include, which may lie in another plugin.  A
+package's ``__init__`` counts only where a name is imported from it, so that editing one module of a plugin leaves the
+nodes of the others alone.
 
 What a node runs without importing it, the readers and writers of the file formats it uses, is given beside it and
 counts in the same way, and by name: another function in the place of the first is another fingerprint.
@@ -67,6 +68,7 @@ class Fingerprints:
         self._packages = frozenset(packages)
         self._scans: dict[Path, _Scan] = {}
         self._nodes: dict[tuple[int, Code], _Known] = {}
+        self._classes: dict[type, tuple[bytes, tuple[tuple[Path, _Stamp], ...]]] = {}
 
     def of(self, node: Node[..., Any], code: Code = ()) -> bytes:
         """Return the fingerprint of a node's code, and of the further functions that it runs, 16 bytes.
@@ -77,6 +79,27 @@ class Fingerprints:
         if known is None or known.node is not node or any(_stamp(path) != stamp for path, stamp in known.files):
             known = self._nodes[id(node), code] = self._compute(node, code)
         return known.digest
+
+    def of_class(self, cls: type) -> bytes:
+        """Return the fingerprint of what the methods of a class compute, those that it inherits among them."""
+        known = self._classes.get(cls)
+        if known is None or any(_stamp(path) != stamp for path, stamp in known[1]):
+            known = self._classes[cls] = self._compute_class(cls)
+        return known[0]
+
+    def _compute_class(self, cls: type) -> tuple[bytes, tuple[tuple[Path, _Stamp], ...]]:
+        files: set[Path] = set()
+        parts = []
+        for base in cls.__mro__:
+            start = getattr(sys.modules.get(base.__module__), "__file__", None)
+            found = self._closure(base.__module__, Path(start)) if start and base is not object else set()
+            if not found:  # a class of a notebook
+                functions = [item for _, item in sorted(vars(base).items()) if isinstance(item, FunctionType)]
+                parts += [_function_digest(item, set(), everything=True) for item in functions]
+            files |= found
+        scans = [(path, scan) for path in sorted(files) if (scan := self._scan(path)) is not None]
+        digest = xxh3_128_digest(b"".join([*parts, *(scan.digest for _, scan in scans)]))
+        return digest, tuple((path, scan.stat) for path, scan in scans)
 
     def files(self, node: Node[..., Any], code: Code = ()) -> list[Path]:
         """Return the source files that the fingerprint of a node and of further functions covers, sorted."""
@@ -112,16 +135,26 @@ class Fingerprints:
             if scan is None:
                 continue
             found.add(path)
+            pending += [("", kernel) for name in scan.kernels for kernel in self._kernels(path, name, packages)]
             if path.suffix != ".py":
-                pending += [("", path.parent / kernel) for kernel in scan.kernels if (path.parent / kernel).is_file()]
                 continue
-            pending += [("", path.parent / kernel) for kernel in scan.kernels if (path.parent / kernel).is_file()]
             is_package = path.name == "__init__.py"
             for target, names in scan.imports:
                 absolute = _absolute(target, module_name, is_package)
                 if absolute.partition(".")[0] in packages:
                     pending += self._modules(absolute, names)
         return found
+
+    def _kernels(self, path: Path, name: str, packages: Iterable[str]) -> Iterator[Path]:
+        """Yield the OpenCL files that a name in a source file may mean: all that could be, where it does not say."""
+        folders = [path.parent]
+        if path.suffix != ".py":  # a header: the folder that it is looked up in is an argument somewhere
+            folders += [folder for package in sorted(packages) if (folder := _locate(package)) and folder.is_dir()]
+        for folder in folders:
+            found = [file for file in (folder / name, *folder.glob(f"*/{name}")) if file.is_file()]
+            if found:
+                yield from found
+                return
 
     def _modules(self, name: str, imported: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
         """Yield (module name, file) of what ``from name import imported`` runs."""

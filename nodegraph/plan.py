@@ -140,6 +140,10 @@ class Plan:
             self._types[id(node), step.code] = known
         return known
 
+    def part_key(self, index: int, what: bytes) -> bytes:
+        """Return the key of a part of a step's work: of its code and device, and a digest of all else that counts."""
+        return cache_keys.key(self._of_type(self.network.steps[index])[0], b"part", [("", what)])
+
     def _file_digest(self, step: Step, name: str) -> bytes:
         parts = []
         for mark, path in step.files[name]:

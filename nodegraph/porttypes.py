@@ -4,6 +4,10 @@ A port type is a frozen dataclass whose fields hold arrays, scalars, strings, tu
 From its fields alone the engine derives the content digest, the read-only freeze and the HDF5 encoding
 (`nodegraph.codec`), so a new type costs no storage code.  A subclass may travel wherever its base may.
 
+Values of some types are functions: a terrain that can be asked anywhere.  What they give is the code of their class as
+much as their fields.  Such a class says ``computes: ClassVar[bool] = True``, and the digest of its values covers that
+code, so that whatever used them is computed again when it changes.
+
 The scalars `bool`, `int`, `float` and `str` and plain `numpy.ndarray` are port types too.
 
 >>> @port_type
@@ -128,7 +132,7 @@ def shape_text(value: Any) -> str:
     stack = [value]
     while stack:
         item = stack.pop()
-        if hasattr(item, "dtype"):  # an array, on the host or on a device
+        if hasattr(item, "dtype") and hasattr(item, "nbytes"):  # an array, on the host or on a device
             if array is None or item.nbytes > array.nbytes:
                 array = item
         elif isinstance(item, tuple):

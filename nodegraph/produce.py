@@ -149,7 +149,25 @@ class Producer:
             device=self._plan.device if twin else None,
             cancelled=self._cancel,
             report=report,
+            remember=lambda what, compute: self._part(self._plan.network.ids[step.id], what, compute),
         )
+
+    def _part(self, index: int, what: Any, compute: Callable[[], Any]) -> Any:
+        """Return a part of a step's work from the cache, or compute it and keep it there at once."""
+        plan = self._plan
+        key = plan.part_key(index, codec.seal(what))
+        known = None if plan.checked or index in plan.forced else plan.cache.lookup(key)
+        value = plan.cache.value(known.digests[0]) if known is not None else None
+        if value is not None:
+            return value
+        started = time.perf_counter()
+        value = compute()
+        seconds = time.perf_counter() - started
+        size = codec.nbytes(value)
+        recipe = plan.recipe(index)
+        record = Record(key, (codec.seal(value),), (size,), seconds, seconds, (), recipe, size, (shape_text(value),))
+        plan.cache.keep(record, (value,))
+        return value
 
     # Remembering.
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -174,6 +174,8 @@ class ElevationFunction:
     implements `query`, `bounds` and `support`, and `emit` if it runs on OpenCL (else it is computed with NumPy, in the
     same tree).
     """
+
+    computes: ClassVar[bool] = True
 
     @property
     def parts(self) -> Sequence[ElevationFunction]:

@@ -19,11 +19,12 @@ k = far - (far - near) alpha_A alpha_B, so that banks stay sharp where valley si
   where |f_A - f| <= alpha_B S / alpha and all differences are at most S = sup|f_A - f_B| + k / 4; grad alpha_B
   likewise.  grad k has the coefficient alpha_A alpha_B dm/dk / alpha, 0 <= dm/dk = (k^2 - d^2) / (4 k^2) <= 1/4.
 
-More than two are taken in order, each with what the ones before have made.  Two may be exchanged; among more the order
-shows only where three weights lie between 0 and 1, as an expectation of minima is not a minimum of expectations.
+Two may be exchanged.  More are taken in order, each with what the ones before have made; their order shows where three
+are close in height, by the rounding, and where three weights are below 1, as an expectation of minima is not a minimum
+of expectations.
 
-Source: the smooth minimum is that of implicit modelling (A. Ricci 1973: A constructive geometry for computer graphics,
-doi:10.1093/comjnl/16.2.157) in its quadratic form.
+Source: union as a minimum, and that it may be rounded, is from A. Ricci 1973: A constructive geometry for computer
+graphics, Computer Journal 16(2), doi:10.1093/comjnl/16.2.157; the rounding here is that of `tree.carve`.
 """
 
 from __future__ import annotations

@@ -35,6 +35,8 @@ PLUGIN: Files = {
         from {name} import TITLE
 
         KERNEL = Path(__file__).with_name("work.cl")
+        FOLDER = Path(__file__).with_name("kernels")
+        FOLDED = FOLDER / "folded.cl"
 
         @node(version=1)
         def compute(x: float) -> float:
@@ -52,6 +54,8 @@ PLUGIN: Files = {
     "work.cl": '#include "common.h"\n__kernel void f() {{}}\n',
     "common.h": '  #  include "deeper.h"\n',
     "deeper.h": "// nothing\n",
+    "kernels/folded.cl": '#include "nearby.h"\n',
+    "kernels/nearby.h": "// nothing\n",
     "other.cl": "__kernel void g() {{}}\n",
     "twin.py": """
         from .nodes import compute
@@ -75,6 +79,8 @@ COVERED = [
     "work.cl",
     "common.h",
     "deeper.h",
+    "kernels/folded.cl",
+    "kernels/nearby.h",
 ]
 NOT_COVERED = ["unrelated.py", "other.cl", "deep/__init__.py", "twin.py", "only_twin.py"]
 
@@ -441,3 +447,69 @@ def test_in_process_edits_do_not_poison_the_cache(plugin: Callable[..., Path], t
         print(graph.run(cache=Cache(sys.argv[3]))["c"])
     """
     assert toy.python(code, folder.parent, folder.name, tmp_path / "cache").strip() == "104.0"
+
+
+FUNCTION_PLUGIN: Files = {
+    "__init__.py": "",
+    "base.py": """
+        from typing import ClassVar
+        from nodegraph import port_type
+
+        @port_type
+        class Shape:
+            computes: ClassVar[bool] = True
+
+            def at(self) -> float:
+                raise NotImplementedError
+    """,
+    "hill.py": """
+        from nodegraph import node, port_type
+        from .base import Shape
+
+        @port_type
+        class Hill(Shape):
+            height: float
+
+            def at(self) -> float:
+                return self.height
+
+        @node(version=1)
+        def hill() -> Shape:
+            '''A hill.'''
+            return Hill(2.0)
+    """,
+    "ask.py": """
+        from nodegraph import node
+        from .base import Shape
+
+        @node(version=1)
+        def ask(shape: Shape) -> float:
+            '''Ask a shape.'''
+            return shape.at()
+    """,
+}
+ASK = """
+    import importlib, sys
+    sys.path.insert(0, sys.argv[1])
+    from nodegraph import Graph
+    from nodegraph.cache import Cache
+    hill, ask = (importlib.import_module(f"{sys.argv[2]}.{name}") for name in ("hill", "ask"))
+    graph = Graph("shapes")
+    graph.add(ask.ask, "ask", shape=graph.add(hill.hill, "hill"))
+    cache = Cache(sys.argv[3])
+    print(graph.run(["ask"], cache=cache)["ask"])
+    cache.close()
+"""
+
+
+def test_an_edit_of_what_a_value_computes_reaches_who_asks_it(plugin: Callable[..., Path], tmp_path: Path) -> None:
+    """The hill comes out with the same fields, and the node that asks it does not import its class."""
+    folder = plugin(FUNCTION_PLUGIN)
+
+    def asked() -> str:
+        return toy.python(ASK, folder.parent, folder.name, tmp_path / "cache").strip()
+
+    assert [asked(), asked()] == ["2.0", "2.0"]
+    path = folder / "hill.py"
+    path.write_text(path.read_text().replace("return self.height", "return 10 * self.height"))
+    assert asked() == "20.0"

@@ -265,3 +265,13 @@ def test_nothing_is_void(device):
     height, weight = sampled(blend([far, far]), device)
     assert np.isnan(height).all()
     assert (weight == 0).all()
+
+
+def test_kernels_count_in_the_code_of_a_node() -> None:
+    from nodegraph.fingerprint import Fingerprints
+    from nodegraph_tree.disc import disc
+    from nodegraph_tree.evaluate import sample
+
+    code = Fingerprints(["nodegraph_tree", "nodegraph_terrain"])
+    assert {"tree.cl", "machine.h", "tree.h"} <= {path.name for path in code.files(sample)}
+    assert {"disc.cl", "relief.h", "noise.h"} <= {path.name for path in code.files(disc)}
