@@ -31,6 +31,9 @@ def test_it_runs_and_then_answers_from_the_cache(path, tmp_path):
     # Coarser than the picture in the gallery: it is the graph that is tested here.
     sample = graph.nodes.get("sample", {}).get("params", {})
     coarse = {"sample.cell_size": 4 * sample["cell_size"]} if "cell_size" in sample else {}
+    for name, record in graph.nodes.items():
+        if record["type"] in ("render.picture", "render.sphere_trace"):
+            coarse |= {f"{name}.width": 160, f"{name}.height": 90}
     cache = Cache(tmp_path / "cache")
     result = graph.run(set=coarse, cache=cache, out=tmp_path / "out")
     assert result.files_written

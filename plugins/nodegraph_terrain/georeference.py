@@ -220,8 +220,20 @@ def transformed(
     source: Any, target: Any, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return points, given in the `source` CRS, in the `target` CRS; infinite where there is no such point."""
-    with gdal():
+    found = np.full((2, x.size), np.inf)
+    flat = x.ravel().tolist(), y.ravel().tolist()
+    with gdal() as rasterio:
         from rasterio.warp import transform
 
-        new_x, new_y = transform(source, target, x.ravel().tolist(), y.ravel().tolist())
-    return np.reshape(np.array(new_x, np.float64), x.shape), np.reshape(np.array(new_y, np.float64), x.shape)
+        # One point without a place makes the whole call fail: such points are found by halving.
+        pending = [slice(0, x.size)] if x.size else []
+        while pending:
+            part = pending.pop()
+            try:
+                found[:, part] = transform(source, target, flat[0][part], flat[1][part])
+            except rasterio._err.CPLE_BaseError:
+                middle = (part.start + part.stop) // 2
+                pending += [
+                    half for half in (slice(part.start, middle), slice(middle, part.stop)) if part.stop - part.start > 1
+                ]
+    return found[0].reshape(x.shape), found[1].reshape(x.shape)

@@ -166,12 +166,17 @@ class Polylines:
         return replace(self, points=self.points[picked], offsets=offsets, properties=properties)
 
 
-def reprojected(lines: Polylines, crs: str) -> Polylines:
+def reprojected(lines: Polylines, crs: str, *, cut: bool = False) -> Polylines:
     """Return the lines in another coordinate system; their heights stay as they are.
 
+    Args:
+        lines: in a system.
+        crs: the other one, in degrees or any unit of length.
+        cut: leave out points that have no place in it, and go on with a new line behind them.
+
     Raises:
-        ValueError: the lines have no system, `crs` is unknown or neither in degrees nor metres, or some points have no
-            place in it.
+        ValueError: the lines have no system, `crs` is unknown or neither in degrees nor a length, or (without `cut`)
+            some points have no place in it.
     """
     from nodegraph_terrain.georeference import horizontal, parse_crs, system_of, transformed
 
@@ -184,12 +189,29 @@ def reprojected(lines: Polylines, crs: str) -> Polylines:
     if text == lines.crs:
         return lines
     x, y = transformed(parse_crs(lines.crs), target, lines.points[:, 0], lines.points[:, 1])
-    outside = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
-    if len(outside):
-        where = ", ".join(f"{value:g}" for value in lines.points[outside[0], :2])
-        raise ValueError(f"the point ({where}) lies outside of what {text[:60]} can show; choose another crs")
+    inside = np.isfinite(x) & np.isfinite(y)
+    if not inside.all():
+        if not cut:
+            where = ", ".join(f"{value:g}" for value in lines.points[np.argmin(inside), :2])
+            raise ValueError(f"the point ({where}) lies outside of what {text[:60]} can show; choose another crs")
+        lines, kept = _cut(lines, inside)
+        x, y = x[kept], y[kept]
     points = np.column_stack([x * factor, y * factor, lines.points[:, 2:]])
     return replace(lines, points=points, crs=text, unit=unit)
+
+
+def _cut(lines: Polylines, inside: npt.NDArray[np.bool_]) -> tuple[Polylines, npt.NDArray[np.int64]]:
+    """Return the stretches of lines whose points are `inside`, of two points at least, and which points they are."""
+    owner = np.repeat(np.arange(len(lines)), np.diff(lines.offsets))
+    kept = np.flatnonzero(inside)
+    begins = np.ones(len(kept), np.bool_)
+    begins[1:] = (np.diff(kept) > 1) | (np.diff(owner[kept]) > 0)
+    sizes = np.bincount(np.cumsum(begins) - 1, minlength=int(begins.sum()))
+    long = sizes > 1
+    kept = kept[np.repeat(long, sizes)]
+    offsets = np.concatenate([[0], np.cumsum(sizes[long])]).astype(np.int64)
+    properties = tuple(item.take(owner[kept[offsets[:-1]]]) for item in lines.properties)
+    return replace(lines, points=lines.points[kept], offsets=offsets, properties=properties), kept
 
 
 def _check(points: npt.NDArray[Any], offsets: npt.NDArray[Any]) -> None:

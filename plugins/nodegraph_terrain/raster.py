@@ -7,7 +7,7 @@ cells of ``(east - west) / cols`` by ``(north - south) / rows``.  A void (no val
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isfinite
+from math import cos, isfinite, radians
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -180,6 +180,15 @@ class Normals(Grid):
 
 GRIDS: tuple[type[Grid], ...] = (Grid, Raster, Elevation, Mask, Slope, Shade, Labels, Image, Normals)
 """Every grid type of this plugin."""
+
+
+def ground_cell(grid: Grid) -> tuple[float, float]:
+    """Return the sides of a cell in ground proportions: in degrees, the width shrinks with the middle latitude."""
+    dx, dy = grid.cell_size
+    if grid.extent.unit == "deg":
+        middle = (grid.extent.south + grid.extent.north) / 2
+        dx *= max(cos(radians(middle)), 1e-3)
+    return dx, dy
 
 
 def require_metres(grid: Grid) -> float:

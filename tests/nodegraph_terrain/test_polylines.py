@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import json
 import logging
 from dataclasses import replace
@@ -195,6 +196,29 @@ def test_reprojecting_agrees_with_known_places() -> None:
     np.testing.assert_allclose(reprojected(there, "EPSG:4326").points, lines.points, atol=1e-9)
     with pytest.raises(ValueError, match="no coordinate reference system"):
         reprojected(Polylines.of([[[0, 0], [1, 1]]]), UTM)
+
+
+@given(data=st.data())
+def test_lines_are_cut_where_a_system_ends(data: st.DataObject) -> None:
+    """Beyond the pole there is nothing."""
+    point = st.tuples(st.floats(-89, -85), st.sampled_from([-80.0, 0.0, 45.5, 91.0]))
+    parts = data.draw(st.lists(st.lists(point, min_size=2, max_size=7), min_size=1, max_size=4))
+    number = Property("number", np.arange(len(parts)))
+    lines = Polylines.of(parts, [number], "EPSG:4326", "deg")
+    expected = []
+    for owner, part in enumerate(parts):
+        for inside, run in itertools.groupby(part, key=lambda place: place[1] < 91):
+            found = list(run)
+            if inside and len(found) > 1:
+                expected.append((owner, found))
+    cut = reprojected(lines, UTM, cut=True)
+    assert cut.get("number").values.tolist() == [owner for owner, _ in expected]
+    back = list(reprojected(cut, "EPSG:4326").lines())
+    for line, (_, run) in zip(back, expected, strict=True):
+        np.testing.assert_allclose(line, run, atol=1e-7)
+    if any(place[1] == 91 for part in parts for place in part):
+        with pytest.raises(ValueError, match="lies outside of what EPSG:32616 can show"):
+            reprojected(lines, UTM)
 
 
 def test_feet_become_metres(tmp_path: Path) -> None:
