@@ -162,11 +162,13 @@ def test_opencl_agrees_with_numpy(
     extent = Extent(west, south, west + shape[1] * cell, south + shape[0] * cell)
     height, weight = on_device(tree, extent, shape, device, detail)
     sample = tree.query(grid(extent, shape, detail), gradient=True)
-    assert np.abs(weight - sample.weight).max() < 2e-4 * max(1.0, sample.weight.max())
+    assert sample.height_gradient is not None
+    assert sample.weight_gradient is not None
+    # Where ground or weight are steep, a coordinate that is off by a hundredth of a millimetre shows.
+    blurred = 2e-5 * np.hypot(*sample.weight_gradient) * cell
+    assert (np.abs(weight - sample.weight) < 2e-4 * max(1.0, sample.weight.max()) + blurred).all()
     sure = sample.weight > THRESHOLD + 1e-3
     assert np.isnan(height[sample.weight < THRESHOLD - 1e-3]).all()
-    assert sample.height_gradient is not None
-    # Where the ground is steep, a coordinate that is off by a hundredth of a millimetre shows.
     steep = np.hypot(*sample.height_gradient)[sure]
     wrong = np.abs(height - sample.height)[sure]
     limit = 0.01 + 2e-5 * steep * cell + 2e-6 * np.abs(sample.height[sure])
