@@ -227,12 +227,16 @@ def fitted(
         eye = middle - away * forward
         return Camera(_point(eye), _point(middle), _point(up), 0.0, max(size, 1e-3))
     half = math.tan(math.radians(field_of_view) / 2) * (1 - 2 * margin)
-    backs, middles = [], []
-    for across, slope in ((x, half * aspect), (y, half)):
+    slopes, backs, middles = (half * aspect, half), [], []
+    for across, slope in zip((x, y), slopes, strict=True):
         positive, negative = (across - slope * z).max(), (-across - slope * z).max()
         backs.append(-(positive + negative) / (2 * slope))
         middles.append((positive - negative) / 2)
-    nearest = min(*backs, float(z.min()) - 1e-6 * reach - 1e-3)
+    tight = int(np.argmin(backs))
+    nearest = min(backs[tight], float(z.min()) - 1e-6 * reach - 1e-3)
+    # In a wide frame the closest eye may be a corner of the box, which it could not see: it steps back, and as far
+    # aside as this lets it, so that the corner touches the frame.
+    middles[tight] += slopes[tight] * (backs[tight] - nearest)
     eye = middle + middles[0] * right + middles[1] * up + nearest * forward
     return Camera(_point(eye), _point(eye - nearest * forward), _point(up), field_of_view)
 

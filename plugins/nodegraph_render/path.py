@@ -26,6 +26,10 @@ KNOTS = 100_000
 """Knots of a path at most."""
 SPARE = 2e-3
 """Cells of the ground by which the eye is raised beyond the clearance."""
+CHANGE = 0.1
+"""By how much of itself the velocity may change from knot to knot where a path keeps a speed."""
+HALVINGS = 20
+"""How often the time between two knots is halved for that; what is sharper still is a cusp."""
 ALONG = 72
 """Knots of a circle: cubics through them are off by 1.5e-7 of the radius."""
 
@@ -143,17 +147,23 @@ def path(
     time, places = _checked(keys, closed, constant_speed)
     knots = _centripetal(places) if constant_speed else time
     splines = _splines(knots, places, curve, closed)
+    even, fine, along, speed = time, time, knots, np.ones(len(time))
     if constant_speed or ease or ground is not None:
-        fine = np.linspace(0, time[-1], _count(ground, splines, knots) + 1)
-        course = _evenly if constant_speed else _by_time
-        along, speed = course(splines, knots, _eased(fine / time[-1], ease), time[-1])
-    else:
-        fine, along, speed = time, knots, np.ones(len(time))
+        course = (_evenly if constant_speed else _by_time)(splines, knots)
+
+        def flown(at: Doubles) -> tuple[Doubles, Doubles]:
+            way, rate = _eased(at / time[-1], ease)
+            along, speed = course(way)
+            return along, speed * rate / time[-1]
+
+        even = np.linspace(0, time[-1], _count(ground, splines, knots) + 1)
+        fine = _finer(even, lambda at: splines.slope(flown(at)[0])[:, :3]) if constant_speed else even
+        along, speed = flown(fine)
     values, rates = splines.value(along), splines.slope(along) * speed[:, None]
     if ground is not None:
-        lift = _lift(ground, values[:, :3], fine, CameraPath(fine, values, rates, closed), clearance, closed)
-        values[:, 2] += lift
-        rates[:, 2] += _slopes(fine, lift, closed)
+        lift = _lift(ground, CameraPath(fine, values, rates, closed), even, clearance)
+        values[:, 2] += lift(fine)
+        rates[:, 2] += lift(fine, 1)
     made = CameraPath(fine, values, rates, closed)
     _check_apart(made)
     return made
@@ -337,24 +347,28 @@ def _eased(share: Doubles, ease: float) -> tuple[Doubles, Doubles]:
     return np.where(late, 1 - way, way), rate / (1 - ease)
 
 
-def _by_time(_: _Splines, knots: Doubles, eased: tuple[Doubles, Doubles], duration: float) -> tuple[Doubles, Doubles]:
-    """Return parameters, and how fast they pass, where the parameter is the time."""
-    way, rate = eased
-    return way * knots[-1], rate * knots[-1] / duration
+Course = Callable[[Doubles], tuple[Doubles, Doubles]]
+"""From shares of the way to the parameters there, and how fast these pass."""
 
 
-def _evenly(
-    splines: _Splines, knots: Doubles, eased: tuple[Doubles, Doubles], duration: float
-) -> tuple[Doubles, Doubles]:
-    """Return parameters, and how fast they pass, so that the eye is as fast everywhere."""
+def _by_time(_: _Splines, knots: Doubles) -> Course:
+    """Return the course on which the parameter passes evenly."""
+    return lambda way: (way * knots[-1], np.full(len(way), knots[-1]))
+
+
+def _evenly(splines: _Splines, knots: Doubles) -> Course:
+    """Return the course on which the eye is as fast everywhere."""
     from scipy.interpolate import CubicHermiteSpline
 
-    parameter = np.concatenate([np.linspace(a, b, 4 * FINE, endpoint=False) for a, b in pairwise(knots)] + [knots[-1:]])
-    middle, half = (parameter[1:] + parameter[:-1]) / 2, np.diff(parameter) / 2
+    def velocity(u: Doubles) -> Doubles:
+        return splines.slope(u)[:, :3]
 
     def speed(u: Doubles) -> Doubles:
-        return np.asarray(np.linalg.norm(splines.slope(u)[:, :3], axis=1))
+        return np.asarray(np.linalg.norm(velocity(u), axis=1))
 
+    parameter = np.concatenate([np.linspace(a, b, 4 * FINE, endpoint=False) for a, b in pairwise(knots)] + [knots[-1:]])
+    parameter = _finer(parameter, velocity)
+    middle, half = (parameter[1:] + parameter[:-1]) / 2, np.diff(parameter) / 2
     # Gauss-Legendre quadrature of two points.
     pieces = half * (speed(middle - half / math.sqrt(3)) + speed(middle + half / math.sqrt(3)))
     length = np.concatenate([[0.0], np.cumsum(pieces)])
@@ -366,45 +380,55 @@ def _evenly(
             f"the path stops to turn back at ({x:g}, {y:g}, {z:g}), where a constant speed cannot; "
             "lead it round a bend, or turn constant_speed off"
         )
-    way, rate = eased
-    along = CubicHermiteSpline(length, parameter, 1 / fast)(way * length[-1])
-    return np.asarray(along), rate * length[-1] / duration / speed(along)
+    parameter_at = CubicHermiteSpline(length, parameter, 1 / fast)
+
+    def course(way: Doubles) -> tuple[Doubles, Doubles]:
+        along = np.asarray(parameter_at(way * length[-1]))
+        return along, length[-1] / speed(along)
+
+    return course
 
 
-def _lift(
-    ground: Elevation, eyes: Doubles, time: Doubles, course: CameraPath, clearance: float, closed: bool
-) -> Doubles:
-    """Return by how much the eye has to be raised at each knot."""
+def _finer(at: Doubles, velocity: Callable[[Doubles], Doubles]) -> Doubles:
+    """Return places with others between where the velocity changes fast: in sharp bends, and where it nearly stops."""
+    for _ in range(HALVINGS):
+        found = velocity(at)
+        size = np.linalg.norm(found, axis=1)
+        fast = np.linalg.norm(np.diff(found, axis=0), axis=1) > CHANGE * np.minimum(size[1:], size[:-1])
+        if not fast.any() or len(at) + np.count_nonzero(fast) > KNOTS:
+            break
+        at = np.sort(np.concatenate([at, ((at[1:] + at[:-1]) / 2)[fast]]))
+    return at
+
+
+def _lift(ground: Elevation, course: CameraPath, time: Doubles, clearance: float) -> Any:
+    """Return by how much the eye has to be raised, a cubic spline over the time whose knots are even."""
     from scipy import ndimage
+    from scipy.interpolate import CubicHermiteSpline
 
-    mode = "wrap" if closed else "nearest"
+    mode = "wrap" if course.closed else "nearest"
     parts = 8
     # A little more, so that it is kept between the places where it is measured, too.
     wanted = clearance + SPARE * min(ground.cell_size)
     between = time[:-1, None] + np.diff(time)[:, None] * (np.arange(parts) / parts)
-    spots = np.concatenate([course.at(between.ravel())[:, :3], eyes[-1:]])
+    spots = course.at(np.append(between.ravel(), time[-1]))[:, :3]
     needed = np.nan_to_num(bilinear(ground, spots[:, 0], spots[:, 1]) + wanted - spots[:, 2], nan=0.0)
     needed = np.maximum(needed, 0)
     # Each knot answers for what lies up to the next ones.
     needed = ndimage.maximum_filter1d(needed, 2 * parts + 1, mode="nearest")[::parts]
-    if not needed.any():
-        return np.asarray(needed)
-    if closed:
+    if course.closed:
         needed = needed[:-1]
         needed[0] = max(needed[0], needed[-1])
     reach = max(1, len(needed) // 20)
     window = np.hanning(2 * reach + 3)[1:-1]
     lift = ndimage.maximum_filter1d(needed, 2 * reach + 1, mode=mode)
     lift = ndimage.convolve1d(lift, window / window.sum(), mode=mode)
-    return np.append(lift, lift[0]) if closed else np.asarray(lift)
-
-
-def _slopes(time: Doubles, values: Doubles, closed: bool) -> Doubles:
-    """Return derivatives of values at evenly spaced times."""
-    found = np.gradient(values, time)
-    if closed:
-        found[0] = found[-1] = (values[1] - values[-2]) / (time[1] - time[0]) / 2
-    return np.asarray(found)
+    if course.closed:
+        lift = np.append(lift, lift[0])
+    slopes = np.gradient(lift, time)
+    if course.closed:
+        slopes[0] = slopes[-1] = (lift[1] - lift[-2]) / (time[1] - time[0]) / 2
+    return CubicHermiteSpline(time, lift, slopes)
 
 
 def _check_apart(course: CameraPath) -> None:

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 
 from nodegraph.testing import Example, parametrize_with_checks
+from nodegraph_hydrology.rasterize_features import rasterize_features
+from nodegraph_hydrology.ridges import ridges
+from nodegraph_hydrology.river_heights import river_heights
 from nodegraph_hydrology.river_network import river_network
 from nodegraph_terrain.polylines import Polylines
 from nodegraph_terrain.raster import Elevation, Extent, Mask, Raster
@@ -16,6 +19,10 @@ LINES = Polylines.of(
 )
 OUTLINE = Polylines.of([np.array([[0.0, 0.0], [4000.0, 0.0], [4000.0, 4000.0], [0.0, 4000.0], [0.0, 0.0]])])
 NETWORK = river_network(LINES, OUTLINE, depth=3)
+RIVERS = river_heights(NETWORK)
+RIDGES = ridges(RIVERS, OUTLINE)
+FEATURES = rasterize_features(RIVERS, RIDGES, cell_size=100)
+WIDE = Elevation(np.zeros((40, 50), np.float32), Extent(0.0, 0.0, 5000.0, 4000.0))
 STROKES = np.zeros((18, 24), np.float32)
 STROKES[3:6, 2:22] = STROKES[5:16, 11:14] = 1
 EXTENT = Extent(0.0, 0.0, 480.0, 360.0)
@@ -54,6 +61,29 @@ EXAMPLES: dict[str, list[Example]] = {
         {"axiom": "F", "rules": ["F -> F+F"], "drawn": "F", "step": 5, "scale": 1, "start": [3, 4], "heading": 0},
         {"iterations": 1, "crs": "EPSG:32632"},
     ),
+    "hydrology.enrich": [
+        *cases(
+            {"rounds": 2},
+            {"rounds": 5, "limit": 60, "roughness": 0.3, "seed": 4},
+            features=FEATURES.features,
+            rivers=FEATURES.rivers,
+        ),
+        *cases({}, {"rounds": 0}, features=POINTS),
+    ],
+    "hydrology.rasterize_features": [
+        *cases({}, {"extent": [500, -100, 3500, 3900], "cell_size": 50}, network=RIVERS),
+        *cases({"cell_size": 100}, {"method": "bresenham", "cell_size": 40}, network=RIVERS, ridges=RIDGES),
+        *cases({}, network=RIVERS, ridges=RIDGES, like=WIDE),
+    ],
+    "hydrology.ridges": [
+        *cases({}, {"nearest": 6, "alpha": 1, "detour": 1, "seed": 2}, network=RIVERS),
+        *cases(
+            {"spacing": 50, "roughness": 0},
+            {"roughness": 1, "wavelength": 500, "octaves": 2},
+            network=RIVERS,
+            outline=OUTLINE,
+        ),
+    ],
     "hydrology.river_heights": cases(
         {},
         {"relief": 300, "outlet_elevation": 20},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nodegraph_render.camera import Camera, angle_of, camera, fitted
@@ -41,6 +41,7 @@ def corners(box, low, high):
     margin=st.sampled_from([0.0, 0.01, 0.2]),
     high=st.floats(500, 9000),
 )
+@example(azimuth=9.0, pitch=0.0, roll=0.0, angle=120.0, aspect=4.0, margin=0.0, high=500.0)  # from a corner of the box
 def test_a_fitted_camera_shows_the_whole_box_and_touches_the_frame(azimuth, pitch, roll, angle, aspect, margin, high):
     view = fitted(BOX, 500.0, high, azimuth, pitch, roll, angle, aspect, margin)
     found = seen(view, corners(BOX, 500.0, high), aspect)

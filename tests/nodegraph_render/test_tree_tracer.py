@@ -92,9 +92,7 @@ def bundle(seed: int, count: int, top: float = 900.0, side: float = 700.0) -> Ra
     return Rays(origin, direction / np.linalg.norm(direction, axis=1)[:, None])
 
 
-@settings(max_examples=12, deadline=None)
-@given(tree=trees(), seed=st.integers(0, 99))
-def test_rays_stop_before_any_random_tree(tree: ElevationFunction, seed: int) -> None:
+def check_nothing_is_passed(tree: ElevationFunction, seed: int) -> None:
     rays = bundle(seed, 60).within(4000.0)
     hits = follow(tree, rays, extent=SQUARE)
     until = np.where(hits.layer == SKY, 4000.0, hits.depth.astype(np.float64))
@@ -103,9 +101,7 @@ def test_rays_stop_before_any_random_tree(tree: ElevationFunction, seed: int) ->
     assert np.all(deep[until > 0] <= EPSILON.at(until[until > 0]) + 0.01)
 
 
-@settings(max_examples=10, deadline=None)
-@given(tree=trees(), seed=st.integers(0, 99))
-def test_what_is_hit_is_there(tree: ElevationFunction, seed: int) -> None:
+def check_what_is_hit_is_there(tree: ElevationFunction, seed: int) -> None:
     rays = bundle(seed, 60)
     hits = follow(tree, rays, extent=SQUARE)
     hit = (hits.layer != SKY) & (hits.depth > 0)
@@ -119,9 +115,7 @@ def test_what_is_hit_is_there(tree: ElevationFunction, seed: int) -> None:
     assert np.all((place[:, 2] - found.height <= 1.01 * limit + 1e-3) | near_edge)
 
 
-@settings(max_examples=5, deadline=None)
-@given(tree=trees(4), seed=st.integers(0, 99))
-def test_opencl_sees_what_numpy_sees(device: Any, tree: ElevationFunction, seed: int) -> None:
+def check_opencl_sees_the_same(device: Any, tree: ElevationFunction, seed: int) -> None:
     rays = bundle(seed, 64)
     host, there = follow(tree, rays, extent=SQUARE), follow(tree, rays, device, extent=SQUARE)
     same = host.layer == there.layer
@@ -129,6 +123,30 @@ def test_opencl_sees_what_numpy_sees(device: Any, tree: ElevationFunction, seed:
     hit = same & (host.layer != SKY)
     off = np.abs(host.depth[hit] - there.depth[hit])
     assert not len(off) or np.quantile(off, 0.9, method="lower") <= 0.5
+
+
+# Random trees, each with OpenCL programs and bounds of its own: most of the time goes into making those.
+
+
+@pytest.mark.slow
+@settings(max_examples=12, deadline=None)
+@given(tree=trees(), seed=st.integers(0, 99))
+def test_rays_stop_before_any_random_tree(tree: ElevationFunction, seed: int) -> None:
+    check_nothing_is_passed(tree, seed)
+
+
+@pytest.mark.slow
+@settings(max_examples=10, deadline=None)
+@given(tree=trees(), seed=st.integers(0, 99))
+def test_what_is_hit_is_there(tree: ElevationFunction, seed: int) -> None:
+    check_what_is_hit_is_there(tree, seed)
+
+
+@pytest.mark.slow
+@settings(max_examples=5, deadline=None)
+@given(tree=trees(4), seed=st.integers(0, 99))
+def test_opencl_sees_what_numpy_sees(device: Any, tree: ElevationFunction, seed: int) -> None:
+    check_opencl_sees_the_same(device, tree, seed)
 
 
 FLAT = Relief("none")
@@ -158,11 +176,19 @@ def scenes() -> dict[str, ElevationFunction]:
     }
 
 
+@pytest.mark.parametrize("name", ["thin ridge", "hill alone", "islands", "trench", "crater", "needle"])
+def test_both_machines_see_what_there_is(device: Any, name: str) -> None:
+    for seed in (1, 2):
+        check_nothing_is_passed(scenes()[name], seed)
+        check_what_is_hit_is_there(scenes()[name], seed)
+    check_opencl_sees_the_same(device, scenes()[name], 3)
+
+
 @pytest.mark.parametrize("name", scenes())
 def test_accelerated_and_plain_see_the_same_in_fewer_steps(device: Any, name: str) -> None:
     function = scenes()[name]
     camera = Camera((X - 1200.0, Y - 1100.0, 700.0), (X, Y, 80.0))
-    rays = camera.rays(54, 96)
+    rays = camera.rays(36, 64)
     fast, slow = (follow(function, rays, device, method, camera, SQUARE) for method in ("accelerated", "plain"))
     assert np.mean(fast.layer == slow.layer) >= 0.998
     hit = (fast.layer != SKY) & (slow.layer != SKY)
@@ -183,7 +209,7 @@ def missed(function: ElevationFunction, rays: Rays, device: Any, points: int) ->
 
 @pytest.mark.parametrize("name", scenes())
 def test_nothing_is_missed(device: Any, name: str) -> None:
-    rays = bundle(1, 2000, 500.0).within(4000.0)
+    rays = bundle(1, 1000, 500.0).within(4000.0)
     assert missed(scenes()[name], rays, device, 150)[0] == 0
 
 
@@ -232,6 +258,13 @@ def test_reach_ends_a_ray(device: Any) -> None:
         hits = follow(Constant(50.0), rays.within(101.0), machine, extent=SQUARE)
         assert hits.depth[0] == pytest.approx(100.0, abs=0.05)
         assert hits.normal[0] == pytest.approx([0, 0, 1], abs=1e-5)
+
+
+def test_a_ray_straight_up_ends(device: Any) -> None:
+    rays = Rays(np.array([[X, Y, 60.0], [X, Y, 900.0]]), np.array([[0.0, 0.0, 1.0]]))
+    for machine in (None, device):
+        assert (follow(Constant(50.0), rays, machine).layer == SKY).all()
+        assert (follow(Disc(X, Y, 500.0, 50.0, FLAT), rays, machine).layer == SKY).all()
 
 
 def test_many_parallel_rays_from_one_direction(device: Any) -> None:
