@@ -157,6 +157,23 @@ static void stride(const Quadtree *q, const Epsilon e, Ray *r, const float gap, 
     r->t += fmax(best, bold);
 }
 
+static inline int first_of(const int set)
+{
+    int lane = 0;
+    while (!(set >> lane & 1))
+        lane++;
+    return lane;
+}
+
+// The lanes of a set that are in the same leaf as its first.
+static inline int alike(const int *leaves, const int first, const int set)
+{
+    int same = 0;
+    for (int i = first; i < LANES; i++)
+        same |= (set >> i & 1 && leaves[i] == leaves[first]) << i;
+    return same;
+}
+
 // Run the program of a leaf for the lanes of a set, at points displaced by (dx, dy) metres.
 static void ask(
     State *s, const Quadtree *q, const Ray *rays, const int leaf, const float4 box, const int set, const int anywhere,
@@ -164,9 +181,7 @@ static void ask(
 {
     float *xs = (float *)&s->x, *ys = (float *)&s->y;
     const float wide = TILE / BLOCK_COLUMNS / box.z, high = TILE / BLOCK_ROWS / box.w;
-    int first = 0;
-    while (!(set >> first & 1))
-        first++;
+    const int first = first_of(set);
     s->block = anywhere ? -1 : 0;
     for (int i = 0; i < LANES; i++) {
         const int lane = set >> i & 1 ? i : first;  // the others are asked as well: where does not matter
@@ -227,11 +242,7 @@ __kernel void trace(
             }
         int waiting = active;
         while (waiting) {
-            int leader = 0, same = 0;
-            while (!(waiting >> leader & 1))
-                leader++;
-            for (int i = leader; i < LANES; i++)
-                same |= (waiting >> i & 1 && leaves[i] == leaves[leader]) << i;
+            const int leader = first_of(waiting), same = alike(leaves, leader, waiting);
             const float4 box = vload4(nodes[leader], boxes);
             ask(&s, &q, rays, leaves[leader], box, same, 0, zero, zero, code, starts, floats, ints, data);
             for (int i = leader; i < LANES; i++) {
@@ -265,11 +276,7 @@ __kernel void trace(
     // Normals, from central differences as wide as a pixel there: what is finer than that would only flicker.
     int waiting = hits;
     while (waiting) {
-        int leader = 0, same = 0;
-        while (!(waiting >> leader & 1))
-            leader++;
-        for (int i = leader; i < LANES; i++)
-            same |= (waiting >> i & 1 && leaves[i] == leaves[leader]) << i;
+        const int leader = first_of(waiting), same = alike(leaves, leader, waiting);
         const float4 box = vload4(nodes[leader], boxes);
         float reach_[LANES], back[LANES];
         float8 f[4], a[4];
