@@ -34,5 +34,5 @@ class RiverNetwork:
         count = len(self.position)
         if self.position.shape != (count, 2) or self.downstream.shape != (count,) or self.elevation.shape != (count,):
             raise ValueError("a river network needs as many downstream nodes and elevations as positions")
-        if count and not (-1 <= int(np.min(self.downstream)) and int(np.max(self.downstream)) < count):
+        if count and (int(np.min(self.downstream)) < -1 or int(np.max(self.downstream)) >= count):
             raise ValueError("a river network has a node that flows to none of its nodes")

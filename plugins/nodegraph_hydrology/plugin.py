@@ -13,6 +13,9 @@ NODE_MODULES: tuple[str, ...] = (
     "lsystem",
     "river_network",
     "river_heights",
+    "ridges",
+    "rasterize_features",
+    "enrich",
 )
 
 

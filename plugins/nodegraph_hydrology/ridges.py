@@ -35,9 +35,9 @@ def ridges(
     detour: Annotated[
         float, Param("Least way along a river between two points, over the straight one, for a ridge.", ge=1, le=100)
     ] = 1.57,
-    roughness: Annotated[float, Param("Amplitude of noise over the rise of a ridge (eq. 5).", ge=0, le=1)] = 0.6,
+    roughness: Annotated[float, Param("Amplitude of noise over the rise of a ridge (eq. 5).", ge=0, le=1)] = 0.3,
     wavelength: Annotated[
-        float | None, Param("Of the first octave; none: 8 times the spacing.", gt=0, unit="m")
+        float | None, Param("Of the first octave; none: 24 times the spacing.", gt=0, unit="m")
     ] = None,
     octaves: Annotated[int, Param("Scales of noise; those finer than the spacing do little.", ge=1, le=MOST)] = 4,
     seed: Annotated[int, Param("Of the noise.", ge=0, le=0xFFFFFFFF)] = 0,
@@ -50,8 +50,9 @@ def ridges(
     crosses it.  (The paper keeps what no river crosses; on a general network that disagrees with the adjacency of
     rivers on about a quarter of the edges.)  Where both points lie on one link, or on a link and the one that it flows
     into, the way along the river must be at least `detour` times the straight one: otherwise every bend has a spur on
-    its inside.  1 keeps the spurs; pi/2, about the default, is a half circle.  Ridges are cut at the border of the domain, and the border closes them: it
-    is a ridge too, open where a river leaves the domain.  No ridge meets a river.
+    its inside.  1 keeps the spurs; pi/2, about the default, is a half circle.  Ridges are cut at the border of the
+    domain, and the border closes them: it is a ridge too, open where a river leaves the domain.  No ridge meets a
+    river.
 
     The height of a point q is, with p_i the `nearest` points of rivers and d the distance to the closest (eq. 4),
 
@@ -99,7 +100,7 @@ def ridges(
     count = len(parts.inner)
     points, segments, owner = _divided(parts, np.column_stack([parts.points, height, rise]), spacing)
     if roughness:
-        noise = Noise("fbm", octaves, wavelength or 8 * spacing, seed=seed)
+        noise = Noise("fbm", octaves, wavelength or 24 * spacing, seed=seed)
         points[:, 2] += roughness * points[:, 3] * noise.value(points[:, 0], points[:, 1])
     context.progress(0.8, "heights")
     inner, inner_sizes = _joined(segments[owner < count], len(points))
@@ -116,7 +117,8 @@ def _checked(network: RiverNetwork) -> Floats:
         bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
         if bad.any():
             raise ValueError(
-                f"node {int(np.argmax(bad))} of the river network has no {what}; link it through hydrology.river_heights"
+                f"node {int(np.argmax(bad))} of the river network has no {what}; "
+                "link it through hydrology.river_heights"
             )
     hops(network.downstream)  # refuses cycles
     length = reach_lengths(network.position, network.downstream)
@@ -134,7 +136,7 @@ def _domain(network: RiverNetwork, outline: Polylines | None) -> Any:
     if outline.unit != "m":
         raise ValueError("the outline is in degrees; load it with a target_crs in metres")
     if outline.crs and network.crs and outline.crs != network.crs:
-        raise ValueError("the rivers and their outline have different coordinate systems; load both with one target_crs")
+        raise ValueError("rivers and outline have different coordinate systems; load both with one target_crs")
     if not len(outline) or not outline.closed.all():
         raise ValueError("the outline must be closed lines, each with its first point again as its last")
     domain = Domain([ring[:, :2] for ring in outline.lines()]).shape

@@ -31,7 +31,7 @@ FAR = 8.0
 """Distance of the ghost sites from the middle, over the size of domain and rivers."""
 
 CONTACT = 1e-9
-"""Distance below which a river touches a border, over the size of the domain."""
+"""Distance below which things touch, over the size of the domain or of the rivers."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,11 @@ def sites_of(network: RiverNetwork, spacing: float) -> Sites:
     x, y = ((1 - share) * values[upper] + share * values[lower] for values in network.position.T)
     z = (1 - share) * network.elevation[upper] + share * network.elevation[lower]
     position = np.concatenate([network.position, np.stack([x, y], axis=1)])
-    _, kept, place = np.unique(position[:, 0] + 1j * position[:, 1], return_index=True, return_inverse=True)
+    # Where rivers cross, points of both may differ by rounding alone; a triangulation would drop one of them.
+    low, high = position.min(axis=0), position.max(axis=0)
+    grain = CONTACT * float(np.hypot(*(high - low)))
+    column, row = np.rint((position - low) / grain).T
+    _, kept, place = np.unique(column + 1j * row, return_index=True, return_inverse=True)
     elevation = np.full(len(kept), -np.inf)
     np.maximum.at(elevation, place, np.concatenate([network.elevation, z]))
     pieces = np.stack([place[number], place[following]], axis=1)
@@ -117,6 +121,7 @@ def watersheds(sites: Sites, domain: Any, spacing: float, detour: float) -> Wate
     import shapely
 
     centre, corners, edge, between, suspects = _voronoi(sites, domain.bounds)
+    edge, between = _welded(centre, edge, between, sites.elevation[corners].max(axis=1))
     rivers = shapely.linestrings(sites.position[sites.pieces])
     inside = shapely.contains_xy(domain, centre[:, 0], centre[:, 1])
     ends_inside = inside[edge]
@@ -130,7 +135,7 @@ def watersheds(sites: Sites, domain: Any, spacing: float, detour: float) -> Wate
     cut, at, hits = _clipped(centre, edge[kept & ~whole], domain)
     line, border = _border(domain, hits, rivers, spacing)
     points = np.concatenate([centre, at, line])
-    inner = _uncrossed(np.concatenate([clear, cut]), points, rivers[suspects])
+    inner = _uncrossed(np.concatenate([clear, cut]), points, rivers[suspects], domain)
     new = points[len(centre) :]
     nearest = np.concatenate([corners, _nearest(sites, new)])
     return _compact(points, nearest, inner, border + len(centre) + len(at))
@@ -167,7 +172,9 @@ def _voronoi(sites: Sites, bounds: tuple[float, ...]) -> tuple[Floats, Index, In
     apex = (corners[triangle, opposite], far.sum(axis=1) - one - two)
     acute = np.ones(len(one), np.bool_)
     for tip in apex:
-        acute &= ((local[one] - local[tip]) * (local[two] - local[tip])).sum(axis=1) > 0
+        u, v = local[one] - local[tip], local[two] - local[tip]
+        # Right angles are left to the exact test: on a lattice they are frequent.
+        acute &= (u * v).sum(axis=1) > CONTACT * (u**2 + v**2).sum(axis=1)
     keys = np.sort(np.minimum(one, two)[acute] * (count + 4) + np.maximum(one, two)[acute])
     wanted = sites.pieces.min(axis=1) * (count + 4) + sites.pieces.max(axis=1)
     suspects = ~_among(wanted, keys)
@@ -175,6 +182,25 @@ def _voronoi(sites: Sites, bounds: tuple[float, ...]) -> tuple[Floats, Index, In
     edge = np.stack([triangle, other], axis=1)[true]
     corners = np.minimum(corners, count - 1)
     return middle + size * centre, corners, edge, np.stack([one, two], axis=1)[true], suspects
+
+
+def _welded(centre: Floats, edge: Index, between: Index, height: Floats) -> tuple[Index, Index]:
+    """Join the centres of triangles that lie on one circle, as on a lattice, to the one that is highest."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    legs = centre[edge[:, 0]] - centre[edge[:, 1]]
+    tiny = np.hypot(legs[:, 0], legs[:, 1]) <= CONTACT * np.abs(centre[edge[:, 0]]).max(axis=1, initial=0)
+    if not tiny.any():
+        return edge, between
+    one, two = edge[tiny].T
+    graph = coo_array((np.ones(len(one)), (one, two)), shape=(len(centre), len(centre)))
+    parts, part = connected_components(graph, directed=False)
+    # The last to be written stays.
+    order = np.argsort(height, kind="stable")
+    chosen = np.empty(parts, np.int64)
+    chosen[part[order]] = order
+    return chosen[part[edge[~tiny]]], between[~tiny]
 
 
 def _circumcentres(a: Floats, b: Floats, c: Floats) -> Floats:
@@ -209,13 +235,16 @@ def _parting(sites: Sites, between: Index, detour: float) -> Flags:
     return np.asarray(parting & ~bend)
 
 
-def _uncrossed(segments: Index, points: Floats, rivers: npt.NDArray[Any]) -> Index:
+def _uncrossed(segments: Index, points: Floats, rivers: npt.NDArray[Any], domain: Any) -> Index:
+    """Return the segments that have a length and touch none of these pieces of river."""
     import shapely
 
     segments = segments[(points[segments[:, 0]] != points[segments[:, 1]]).any(axis=1)]
     lines = shapely.linestrings(points[segments])
     keep = np.ones(len(segments), np.bool_)
-    keep[shapely.STRtree(rivers).query(lines, predicate="intersects")[0]] = False
+    west, south, east, north = domain.bounds
+    contact = CONTACT * float(np.hypot(east - west, north - south))
+    keep[shapely.STRtree(rivers).query(lines, predicate="dwithin", distance=contact)[0]] = False
     return segments[keep]
 
 
@@ -259,12 +288,14 @@ def _border(domain: Any, hits: Floats, rivers: npt.NDArray[Any], spacing: float)
         pieces = max(int(np.ceil(along[-1] / spacing)), 1)
         regular = along[-1] * np.arange(pieces) / pieces
         place = np.concatenate([along[:-1], shapely.line_locate_point(ring, shapely.points(own)), regular])
-        spots = np.concatenate([corners[:-1], own, shapely.get_coordinates(shapely.line_interpolate_point(ring, regular))])
+        spots = np.concatenate(
+            [corners[:-1], own, shapely.get_coordinates(shapely.line_interpolate_point(ring, regular))]
+        )
         order = np.argsort(place, kind="stable")
-        # A regular point close to another is not needed.
+        # A regular point right beside another is not needed.
         needless = order >= len(corners) - 1 + len(own)
         gap = np.minimum(np.diff(place[order], prepend=-np.inf), np.diff(place[order], append=np.inf))
-        order = order[~(needless & (gap < spacing / 2))]
+        order = order[~(needless & (gap < spacing / 1000))]
         spots = spots[order]
         points.append(spots)
         run = count + np.arange(len(spots))

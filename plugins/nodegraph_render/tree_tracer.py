@@ -22,7 +22,7 @@ the ground came nearer on the last step.
 
 **Domain.**  The terrain exists where alpha >= T = 1/2 and is solid below its surface.  Where it does not exist the ray
 goes on by (T - alpha) / (|u_xy| lambda_alpha), and inside by no more than (alpha - T) / (|u_xy| lambda_alpha), unless
-the whole box is terrain: neither gaps nor thin walls are stepped over.
+the whole box is terrain, but by epsilon(t) at least: neither gaps nor walls wider than that are stepped over.
 
 A point counts as hit when h < epsilon(t) = floor + share t.  Crossing from box to box, rays go epsilon / 8 further than
 needed, so that rounding cannot hold them at a border.
@@ -325,13 +325,14 @@ class _Walk:
         point, least = self._at(where), self.epsilon.beyond(self.t[where])
         best, nodes, rays = least.copy(), np.zeros(len(where), int), np.arange(len(where))
         bold, slope = np.zeros(len(where)), np.full(len(where), -1.0)
+        wide = self.epsilon.at(self.t[where])
         for _ in range(self.levels):
             here = where[rays]
             rise = tree.weight_slope[nodes] * self.level[here]
             rate = tree.slope[nodes] * self.level[here] - self.u[here, 2]
             a, there = weight[rays], weight[rays] >= THRESHOLD
             with np.errstate(divide="ignore", invalid="ignore"):
-                border = np.where(rise > 0, np.abs(a - THRESHOLD) / rise, np.inf)
+                border = np.where(rise > 0, np.maximum(np.abs(a - THRESHOLD) / rise, wide[rays]), np.inf)
                 ground = np.where(rate > 0, gap[rays] / rate, np.inf)
             room = self._leaving(here, nodes) - self.t[here]
             step = room + least[rays]

@@ -39,7 +39,9 @@ def grown(depth=4, seed=0, outline=BOX, lines=STEM):
 def reaches(network):
     flows = network.downstream >= 0
     ends = network.position[network.downstream[flows]]
-    return shapely.linestrings(np.stack([network.position[flows], ends], axis=1))
+    lines = shapely.linestrings(np.stack([network.position[flows], ends], axis=1))
+    # A reach between two nodes on one spot is no line.
+    return lines[shapely.length(lines) > 0]
 
 
 def plans(lines):

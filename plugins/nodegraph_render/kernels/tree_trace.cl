@@ -121,7 +121,7 @@ static inline int stands(const Ray *r, const float gap)
 static void stride(const Quadtree *q, const Epsilon e, Ray *r, const float gap, const float a)
 {
     const float x = r->o[0] + r->t * r->u[0], y = r->o[1] + r->t * r->u[1];
-    const float least = beyond(e, r->t);
+    const float least = beyond(e, r->t), wide = epsilon(e, r->t);
     float best = least, bold = 0.0f, slope = -1.0f;
     int node = 0;
     for (int level = 0; level < q->levels; level++) {
@@ -129,7 +129,7 @@ static void stride(const Quadtree *q, const Epsilon e, Ray *r, const float gap, 
         const float rise = limit.z * r->level;
         float step = leaving(r, box) - r->t + least;
         if (a < q->threshold) {
-            step = rise > 0.0f ? fmin(step, (q->threshold - a) / rise) : step;
+            step = rise > 0.0f ? fmin(step, fmax((q->threshold - a) / rise, wide)) : step;
         } else {
             const float rate = limit.y * r->level - r->u[2], back = limit.y * r->level + r->u[2];
             if (rate > 0.0f) {
@@ -143,7 +143,7 @@ static void stride(const Quadtree *q, const Epsilon e, Ray *r, const float gap, 
                 step = fmin(step, safe);
             }
             if (limit.w == 0.0f && rise > 0.0f)
-                step = fmin(step, (a - q->threshold) / rise);
+                step = fmin(step, fmax((a - q->threshold) / rise, wide));
         }
         best = fmax(best, step);
         if (q->child[node] < 0)
