@@ -16,6 +16,12 @@ NODE_MODULES: tuple[str, ...] = (
     "ridges",
     "rasterize_features",
     "enrich",
+    "drainage",
+    "streams",
+    "divides",
+    "horton",
+    "draw_network",
+    "compare_networks",
 )
 
 

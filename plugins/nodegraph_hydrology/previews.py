@@ -7,6 +7,9 @@ from io import BytesIO
 import numpy as np
 
 from nodegraph import Preview
+from nodegraph_hydrology.drainage import DrainageArea
+from nodegraph_hydrology.horton import NetworkStatistics
+from nodegraph_hydrology.horton_plot import preview_statistics
 from nodegraph_hydrology.network import RiverNetwork
 from nodegraph_hydrology.topology import strahler_order
 
@@ -46,5 +49,17 @@ def preview_river_network(network: RiverNetwork) -> bytes:
     return buffer.getvalue()
 
 
-PREVIEWS: tuple[Preview, ...] = (Preview(RiverNetwork, preview_river_network),)
+def preview_drainage_area(area: DrainageArea) -> bytes:
+    """Show the logarithm of drainage areas, slopes dark and rivers bright."""
+    from nodegraph_terrain.previews import preview_raster
+    from nodegraph_terrain.raster import Raster
+
+    return preview_raster(Raster(np.log10(area.data), area.extent))
+
+
+PREVIEWS: tuple[Preview, ...] = (
+    Preview(RiverNetwork, preview_river_network),
+    Preview(NetworkStatistics, preview_statistics),
+    Preview(DrainageArea, preview_drainage_area),
+)
 """How the types of this package are drawn."""

@@ -32,12 +32,48 @@ DIFFUSIVITY = Raster(np.random.default_rng(7).random((18, 24), np.float32), EXTE
 PATCH = Elevation(50 * np.random.default_rng(8).random((9, 12), np.float32), Extent(90.0, 70.0, 330.0, 250.0))
 PATCH_MASK = Mask(np.random.default_rng(9).random((9, 12), np.float32), PATCH.extent)
 
+WIDE = Elevation(
+    (np.add.outer(np.arange(20.0), np.zeros(20)) * -9 + 3 * np.random.default_rng(10).random((20, 20))).astype(
+        np.float32
+    ),
+    Extent(0.0, 0.0, 4000.0, 4000.0),
+)
+
 
 def cases(*params: dict[str, Any], **inputs: Any) -> list[Example]:
     return [Example(inputs, item) for item in params]
 
 
 EXAMPLES: dict[str, list[Example]] = {
+    "hydrology.basins": cases(
+        {},
+        {"unit": "links", "threshold": 8000, "method": "dinf"},
+        {"smallest": 3000, "depressions": "breach"},
+        surface=GROUND,
+    ),
+    "hydrology.compare_networks": [
+        *cases({}, {"inside": True, "method": "dinf"}, designed=NETWORK, terrain=WIDE),
+        *cases(
+            {"threshold": 4e5, "within": 3, "least_order": 1, "depressions": "breach"}, designed=NETWORK, terrain=WIDE
+        ),
+    ],
+    "hydrology.drainage_area": cases({}, {"depressions": "breach", "method": "dinf"}, surface=GROUND),
+    "hydrology.draw_network": [
+        *cases({"size": 150}, {"size": 120, "width": 3, "lowest_order": 2, "legend": False}, network=NETWORK),
+        *cases({"size": 150}, network=NETWORK, surface=WIDE),
+    ],
+    "hydrology.extract_ridges": cases(
+        {"threshold": 8000}, {"threshold": 6000, "method": "inverted", "shortest": 40}, surface=GROUND
+    ),
+    "hydrology.extract_streams": cases(
+        {"threshold": 8000}, {"threshold": 4000, "depressions": "breach", "method": "dinf"}, surface=GROUND
+    ),
+    "hydrology.network_statistics": cases({}, {"title": "Rivers"}, network=NETWORK),
+    "hydrology.stream_order": cases(
+        {"threshold": 8000},
+        {"threshold": 4000, "kind": "shreve", "depressions": "breach", "method": "dinf"},
+        surface=GROUND,
+    ),
     "hydrology.diffuse": [
         *cases({}, {"tolerance": 1e-3}, {"border": "fixed", "border_elevation": 90}, features=POINTS),
         *cases(
