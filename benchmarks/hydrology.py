@@ -2,7 +2,9 @@
 
 `hydrology.diffuse` on 50 scattered points and on a skeleton of winding lines, to 1e-4 of the range, on NumPy and on
 OpenCL, beside pyamg (Ruge-Stuben hierarchy and conjugate gradients, assembly included) and beside the paper's 5,500
-Jacobi steps on the same device; twice the side; and `hydrology.poisson_blend`'s rectangle beside SciPy's transforms.
+Jacobi steps on the same device; twice the side; and `hydrology.poisson_blend`'s rectangle beside SciPy's transforms,
+at sizes that suit an FFT and at some that do not; `hydrology.ridges` of the paper's number of nodes; and the whole
+way from drawn lines to terrain (graphs/hydrology/*.json) beside what the paper reports of it.
 Errors are to the same node at a tolerance of 1e-6.
 
     uv run --group bench python benchmarks/hydrology.py [--size 1024] [--repeat 3]
@@ -13,19 +15,30 @@ Runs alternate; figures are of the fastest one.
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nodegraph import Context
+from nodegraph import Context, Graph
+from nodegraph.cache import Cache
 from nodegraph.opencl import choose, to_device, to_host
 from nodegraph_hydrology import poisson
 from nodegraph_hydrology.diffuse import diffuse
+from nodegraph_hydrology.poisson_blend import poisson_blend
+from nodegraph_hydrology.ridges import ridges
+from nodegraph_hydrology.river_heights import river_heights
+from nodegraph_hydrology.river_network import river_network
+from nodegraph_hydrology.topology import reach_lengths
+from nodegraph_hydrology.watersheds import sites_of
+from nodegraph_terrain.polylines import Polylines
 from nodegraph_terrain.raster import Elevation, Extent
 
+GRAPHS = Path(__file__).parents[1] / "graphs" / "hydrology"
 TOLERANCE = 1e-4
 PYAMG_TOLERANCE = 1e-5
 """Of its residual: the loosest power of ten that keeps the error below `TOLERANCE`."""
@@ -134,21 +147,83 @@ def diffusion(size: int, repeat: int) -> None:
 
 
 def rectangle(size: int, repeat: int) -> None:
+    """A transform of n values costs an FFT of 2 (n + 1): of 1023 the powers of two, of 1024 one with a prime of 41."""
+    dice = np.random.default_rng(3)
+    for count in (size - 1, size, size + 1):
+        values, source = dice.normal(size=(2, count + 2, count + 2)).astype(np.float32)
+        base = raster(np.add.outer(*dice.normal(0, 30, (2, 3 * count // 2)).cumsum(axis=1)))
+        patch = Elevation(values, Extent(100, 100, 100 + 10 * (count + 2), 100 + 10 * (count + 2)))
+        runs = {
+            "SciPy's two transforms, float32": partial(transforms, source[1:-1, 1:-1]),
+            "given edges, float32": partial(poisson.solve_rectangle, values, None, 1.0, 1.0),
+            "the node poisson_blend": partial(poisson_blend, base, patch),
+            "SciPy's two transforms, float64": partial(transforms, source[1:-1, 1:-1].astype(np.float64)),
+            "with a source, float64": partial(poisson.solve_rectangle, values.astype(np.float64), source, 1.0, 1.0),
+        }
+        seconds, _ = fastest(runs, max(9, repeat))
+        print(f"\nPoisson, {count} x {count} free cells")
+        for name, taken in seconds.items():
+            bound = seconds["SciPy's two transforms, " + ("float64" if "float64" in name else "float32")]
+            print(f"  {name:32} {taken:8.4f} s   {taken / bound:5.2f} x SciPy")
+
+
+def transforms(field: np.ndarray) -> np.ndarray:
     from scipy.fft import dstn, idstn
 
-    dice = np.random.default_rng(3)
-    values, source = dice.normal(size=(2, size + 2, size + 2))
-    runs = {
-        "rectangle": lambda: poisson.solve_rectangle(values, source, 1.0, 1.0),
-        "SciPy's two transforms alone": lambda: idstn(dstn(source[1:-1, 1:-1], type=1), type=1),
-    }
-    seconds, _ = fastest(runs, max(5, repeat))
-    print(f"\nPoisson, {size} x {size}")
-    for name, taken in seconds.items():
-        print(f"  {name:28} {taken:8.3f} s")
+    return np.asarray(idstn(dstn(field, type=1, workers=-1), type=1, workers=-1, overwrite_x=True))
 
 
-PARTS: dict[str, Callable[[int, int], None]] = {"diffuse": diffusion, "poisson": rectangle}
+def dividing(size: int, repeat: int) -> None:  # noqa: ARG001
+    """Ridges of a network of the paper's size (12,267 nodes), as it is and with points between nodes."""
+    from scipy.spatial import Voronoi
+
+    stem = Polylines.of([np.array([[5000.0, 0.0], [5300.0, 2500.0], [4800.0, 5000.0], [5000.0, 9500.0]])])
+    box = Polylines.of([10_000.0 * np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])])
+    network = river_heights(river_network(stem, box, generator=3, depth=5, seed=1))
+    length = reach_lengths(network.position, network.downstream)
+    for spacing in (float(length.max()), None):
+        sites = sites_of(network, spacing or float(np.median(length[length > 0])))
+        runs: dict[str, Callable[[], Any]] = {
+            "ridges": partial(ridges, network, box, spacing=spacing),
+            "SciPy's Voronoi diagram alone": partial(Voronoi, sites.position),
+        }
+        seconds, _ = fastest(runs, max(7, repeat))
+        print(f"\nridges of {len(network.downstream):,} nodes, {len(sites.position):,} sites")
+        for name, taken in seconds.items():
+            print(f"  {name:32} {taken:8.3f} s")
+
+
+PAPER = {"network": 0.003875, "ridges": 0.820, "enrich": 0.0586, "diffuse": 323.5, "smooth": 0.9276}
+"""Seconds at 1024 x 1024 (GD1024): Table 3 on a Core i7-4710MQ, and section VIII's 5,500 steps on a Core i5-2410M."""
+
+
+def pipeline(size: int, repeat: int) -> None:
+    """The terrain of two graphs, nothing remembered, without the check and the pictures."""
+    total = sum(PAPER.values())
+    print(f"\nlines to terrain, {size} x {size} (the paper: {total:.1f} s at 1024 x 1024)")
+    for name in ("terrain_from_rivers", "terrain_as_printed"):
+        graph = Graph.load(GRAPHS / f"{name}.json")
+        best, steps = float("inf"), ""
+        for _ in range(repeat):
+            with tempfile.TemporaryDirectory() as folder:
+                cache = Cache(folder)
+                start = time.perf_counter()
+                result = graph.run(["terrain"], set={"cell_size": 10_000 / size}, cache=cache)
+                taken = time.perf_counter() - start
+                cache.close()
+            if taken < best:
+                best = taken
+                steps = ", ".join(f"{node.id} {node.seconds:.2f}" for node in result.nodes.values())
+        compared = f", {total / best:.0f} x faster than the paper on its CPU" if size == 1024 else ""
+        print(f"  {name:28} {best:8.3f} s{compared}\n    {steps}")
+
+
+PARTS: dict[str, Callable[[int, int], None]] = {
+    "diffuse": diffusion,
+    "poisson": rectangle,
+    "ridges": dividing,
+    "pipeline": pipeline,
+}
 
 
 def main() -> None:

@@ -34,6 +34,8 @@ def test_it_runs_and_then_answers_from_the_cache(path, tmp_path):
     for name, record in graph.nodes.items():
         if record["type"] in ("render.picture", "render.sphere_trace"):
             coarse |= {f"{name}.width": 160, f"{name}.height": 90}
+        elif record["type"] == "hydrology.rasterize_features":
+            coarse |= {f"{name}.cell_size": 40}
         elif record["type"] == "render.flight":
             coarse |= {f"{name}.width": 64, f"{name}.height": 36, f"{name}.frame_rate": 0.5}
     cache = Cache(tmp_path / "cache")

@@ -94,7 +94,7 @@ def compare_networks(
     Returns:
         ``followed``: share of stream cells near a designed river; ``found``: share of designed cells near a stream;
         ``agreement``: these and what they rest on; ``map``: streams blue where they follow, red where they do not,
-        designed rivers that are not found orange.
+        designed rivers that are not found orange, with their shares.
 
     Raises:
         ValueError: no designed river of that order lies on the terrain, or no cell drains as much as `threshold`.
@@ -138,7 +138,12 @@ def compare_networks(
         found=float(found.sum() / wanted.sum()),
     )
     layers = [streams & followed, wanted & ~found, streams & ~followed]
-    picture = _map(terrain, flow, layers, context)
+    names = [
+        f"streams that follow the design: {agreement.followed:.1%}",
+        f"designed, not found: {1 - agreement.found:.1%}",
+        f"streams elsewhere: {1 - agreement.followed:.1%}",
+    ]
+    picture = _map(terrain, flow, layers, names, context)
     return Compared(agreement.followed, agreement.found, agreement, picture)
 
 
@@ -192,7 +197,7 @@ def _numbers(flags: Flags) -> Index:
     return np.flatnonzero(np.pad(flags, 1))
 
 
-def _map(terrain: Elevation, flow: Flow, layers: list[Flags], context: Context) -> Image:
+def _map(terrain: Elevation, flow: Flow, layers: list[Flags], names: list[str], context: Context) -> Image:
     rows, columns = terrain.shape
     side = max(rows, columns)
     scale = max(1.0, 800 / side) if side < 1600 else 1600 / side
@@ -206,6 +211,6 @@ def _map(terrain: Elevation, flow: Flow, layers: list[Flags], context: Context) 
         places,
         [size] * 3,
         ["#1f5fae", "#f08a1d", "#c8102e"],
-        ["streams that follow the design", "designed, not found", "streams elsewhere"],
+        names,
     )
     return Image(pixels, terrain.extent)

@@ -126,7 +126,7 @@ class _Ground:
         They take the mean of the known among their neighbours at `offsets`, if `least` of these are known, and if
         these do not all lie on one side where only values `between` are wanted.
         """
-        places = np.argwhere(np.isnan(self.height[row::pitch, column::pitch]))
+        places = np.argwhere(self._wanting(row, column, pitch, offsets, least))
         if not len(places):
             return
         i, j = (places * pitch + [row, column]).T
@@ -156,6 +156,28 @@ class _Ground:
         one_sided = (1 - np.abs(kind)) * normal - kind * np.abs(normal)
         self.height[i, j] = mean + self.roughness * distance * one_sided
         self.kind[i, j] = kind
+
+    def _wanting(
+        self, row: int, column: int, pitch: int, offsets: list[tuple[int, int]], least: int
+    ) -> npt.NDArray[np.bool_]:
+        """Return which cells of the lattice are free with `least` known neighbours: few, and quick to find."""
+        known = ~np.isnan(self.height)
+        free = ~known[row::pitch, column::pitch]
+        count = np.zeros(free.shape, np.uint8)
+        for down, right in offsets:
+            (own_rows, rows), (own_columns, columns) = (
+                _overlap(start + step, pitch, own, size)
+                for start, step, own, size in zip((row, column), (down, right), free.shape, known.shape, strict=True)
+            )
+            count[own_rows, own_columns] += known[rows, columns]
+        return np.asarray(free & (count >= least))
+
+
+def _overlap(start: int, pitch: int, count: int, size: int) -> tuple[slice, slice]:
+    """Return which of `count` places from `start` on, every `pitch`-th, lie in 0 to `size`, and these places."""
+    first = max(0, -(start // pitch))
+    last = max(first, min(count, -((start - size) // pitch)))
+    return slice(first, last), slice(start + first * pitch, start + last * pitch, pitch)
 
 
 def _raise_banks(height: Floats, known: npt.NDArray[np.bool_], rivers: Mask) -> None:

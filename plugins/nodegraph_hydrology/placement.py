@@ -82,26 +82,24 @@ def place(base: Elevation, patch: Elevation, mask: Mask | None, where: Similarit
         return None
     fine = max(1, round(dy / (where.size * patch.cell_size[1]))), max(1, round(dx / (where.size * patch.cell_size[0])))
     spread = tuple((np.arange(count) + 0.5) / count - 0.5 for count in fine)
-    missing = np.isnan(patch.data)
-    filled = without_voids(patch.data, missing) if missing.any() else patch.data
-    shape = (rows.stop - rows.start, cols.stop - cols.start)
-    heights, known, wanted = np.zeros(shape), np.ones(shape, np.bool_), np.ones(shape, np.bool_)
-    aligned = fine == (1, 1) and _is_aligned(base, patch, where, rows, cols)
-    coefficients = filled.astype(np.float64) if aligned else spline_coefficients(filled)
-    mean = 1 / (fine[0] * fine[1])
     x = extent.west + (np.arange(cols.start, cols.stop) + 0.5) * dx
+    y = extent.north - (np.arange(rows.start, rows.stop) + 0.5) * dy
+    if fine == (1, 1) and _is_aligned(base, patch, where, rows, cols):
+        return Placed(rows, cols, *_copied(patch, mask, where, x, y))
+    missing = np.isnan(patch.data)
+    coefficients = spline_coefficients(without_voids(patch.data, missing) if missing.any() else patch.data)
+    shape = (len(y), len(x))
+    heights, known, wanted = np.zeros(shape), np.ones(shape, np.bool_), np.ones(shape, np.bool_)
+    mean = 1 / (fine[0] * fine[1])
     for part in row_blocks(*shape, context, stop=0.3):
-        y = extent.north - (np.arange(rows.start + part.start, rows.start + part.stop) + 0.5) * dy
-        share = np.zeros((len(y), len(x)))
+        share = np.zeros(heights[part].shape)
         for down in spread[0]:
             for across in spread[1]:
-                row, col = where.cells_of(patch, x[None, :] + across * dx, y[:, None] - down * dy)
-                if aligned:
-                    row, col = np.rint(row), np.rint(col)
-                heights[part] += mean * _sampled(coefficients, row, col, 0 if aligned else 3)
+                row, col = where.cells_of(patch, x[None, :] + across * dx, y[part, None] - down * dy)
+                heights[part] += mean * _sampled(coefficients, row, col, 3)
                 known[part] &= _is_known(missing, row, col)
                 if mask is not None:
-                    share += mean * _sampled(np.nan_to_num(mask.data).astype(np.float64), row, col, 0 if aligned else 1)
+                    share += mean * _sampled(np.nan_to_num(mask.data).astype(np.float64), row, col, 1)
         if mask is not None:
             wanted[part] = share >= 0.5
     return Placed(rows, cols, heights, known, wanted)
@@ -128,14 +126,27 @@ def _is_aligned(base: Elevation, patch: Elevation, where: Similarity, rows: slic
     return whole and bool(straight or turned)
 
 
+def _copied(
+    patch: Elevation, mask: Mask | None, where: Similarity, east: Floats, north: Floats
+) -> tuple[Floats, Bools, Bools]:
+    """Return heights, known and wanted at places that are all cell centres of the patch, in any quarter turn of it."""
+    along, down = where.cells_of(patch, east, north[0]), where.cells_of(patch, east[0], north)
+    turned = round(where.rotation / 90) % 2 == 1
+    row, col = np.rint(along[0] if turned else down[0]), np.rint(down[1] if turned else along[1])
+    rows, cols = patch.shape
+    cells = np.ix_(np.clip(row, 0, rows - 1).astype(np.int64), np.clip(col, 0, cols - 1).astype(np.int64))
+    heights = patch.data[cells].astype(np.float64)
+    known = ~np.isnan(heights)
+    known[(row < 0) | (row >= rows)] = known[:, (col < 0) | (col >= cols)] = False
+    heights[np.isnan(heights)] = 0
+    wanted = np.ones_like(known) if mask is None else mask.data[cells] >= 0.5
+    return (heights.T, known.T, wanted.T) if turned else (heights, known, wanted)
+
+
 def _sampled(values: Floats, row: Floats, col: Floats, order: int) -> Floats:
     """Return values at fractional cells; cubic ones from spline coefficients extended by `REACH`."""
     from scipy import ndimage
 
-    if order == 0:
-        rows, cols = values.shape
-        r, c = np.clip(row, 0, rows - 1).astype(np.int64), np.clip(col, 0, cols - 1).astype(np.int64)
-        return np.asarray(values[r, c])
     shift = REACH if order == 3 else 0
     row, col = np.broadcast_arrays(row, col)
     places = [row + shift, col + shift]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,6 @@ from nodegraph_hydrology import poisson
 from nodegraph_hydrology.placement import Placed, Similarity, place
 from nodegraph_terrain.multigrid import System, without_value
 from nodegraph_terrain.raster import Elevation, Mask, ground_cell, require_same_grid
-
-if TYPE_CHECKING:
-    from nodegraph.opencl import Device
 
 Array = npt.NDArray[Any]
 TOLERANCE = 1e-6
@@ -158,18 +155,19 @@ def _blend(
     region = None if placed is None else _region(base, placed)
     if placed is None or region is None or not region.any():
         raise ValueError("the patch covers no cell of the base; move it with position, or make it larger with size")
-    ground = base.data[placed.rows, placed.cols].astype(np.float64)
-    region = _held(region, ~np.isnan(ground))
-    if not region.any():
-        raise ValueError("the patch covers all of the base; there is no ground left around it to hold its height")
     box = _around(region)
-    region, ground, heights = region[box], ground[box], relief * placed.heights[box]
     rows = slice(placed.rows.start + box[0].start, placed.rows.start + box[0].stop)
     cols = slice(placed.cols.start + box[1].start, placed.cols.start + box[1].stop)
+    ground, heights = base.data[rows, cols].astype(np.float64), placed.heights[box]
+    region = _held(region[box], ~np.isnan(ground))
+    if not region.any():
+        raise ValueError("the patch covers all of the base; there is no ground left around it to hold its height")
+    if relief != 1:
+        heights = relief * heights
     shift = _shift(region, ground, heights, ground_cell(base), mixed, feather, context)
     blended = base.data.copy()
     window = blended[rows, cols]
-    window[region] = (heights + shift)[region]
+    np.add(heights, shift, out=window, where=region, casting="same_kind")
     return Elevation(blended, base.extent)
 
 
@@ -193,6 +191,8 @@ def _region(base: Elevation, placed: Placed) -> Array:
 
 def _held(region: Array, known: Array) -> Array:
     """Return the part of the region that some cell of the base around it holds."""
+    if poisson.is_rectangle(region) and known.all():
+        return region
     return np.asarray(region & ~without_value(region | ~known, known))
 
 
@@ -219,30 +219,35 @@ def _shift(
     across: Array | float = dy / dx
     down: Array | float = dx / dy
     void = np.isnan(ground)
-    if void.any():
+    whole = not void.any()
+    if not whole:
         across, down = across * ~(void[:, 1:] | void[:, :-1]), down * ~(void[1:] | void[:-1])
-    device: Device | None = context.device
-    ground = np.where(void, heights, ground)
+        ground = np.where(void, heights, ground)
+    ring = _beside(region) & ~void
+    difference = ground[ring] - heights[ring]
+    level = float(difference.mean())
+    source = None
+    if mixed or feather > 0:
+        source = _extra_divergence(region, ground, heights, across, down, cell, mixed, feather)
+    # Over a rectangle rounding grows with the source's roughness; without one float32 has digits enough.
+    exact = whole and poisson.is_rectangle(region)
+    precision = np.float64 if exact and source is not None else np.float32
+    values = np.zeros(region.shape, precision)
+    values[ring] = difference - level
+    if not whole:
+        across, down = np.asarray(across, np.float32), np.asarray(down, np.float32)
+    system = System(values, region, across, down, None if source is None else source.astype(precision, copy=False))
+    return np.asarray(poisson.solve(system, TOLERANCE, context, context.device) + level)
+
+
+def _beside(region: Array) -> Array:
+    """Return the cells outside of the region that share a side with one inside."""
     touched = region.copy()
     for own, other in ((touched[1:], region[:-1]), (touched[:-1], region[1:])):
         own |= other
     for own, other in ((touched[:, 1:], region[:, :-1]), (touched[:, :-1], region[:, 1:])):
         own |= other
-    ring = touched & ~region & ~void
-    values = np.where(ring, ground - heights, 0.0)
-    level = float(values[ring].mean())
-    values[ring] -= level
-    source = None
-    if mixed or feather > 0:
-        source = _extra_divergence(region, ground, heights, across, down, cell, mixed, feather)
-    if not isinstance(across, float):
-        across, down = across.astype(np.float32), np.asarray(down, np.float32)
-    exact = poisson.is_rectangle(region) and isinstance(across, float)
-    precision = np.float64 if exact else np.float32
-    system = System(
-        values.astype(precision), region, across, down, None if source is None else source.astype(precision)
-    )
-    return np.asarray(poisson.solve(system, TOLERANCE, context, device).astype(np.float64) + level)
+    return np.asarray(touched & ~region)
 
 
 def _extra_divergence(

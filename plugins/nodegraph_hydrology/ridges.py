@@ -93,7 +93,7 @@ def ridges(
     spacing = spacing or float(np.median(length[length > 0]))
     sites = sites_of(network, spacing)
     context.progress(0.1, "points on rivers")
-    domain = _domain(network, outline)
+    domain = domain_of(network, outline)
     parts = watersheds(sites, domain, spacing, detour)
     context.progress(0.6, "watersheds")
     height, rise = _heights(parts, sites, alpha, nearest)
@@ -127,7 +127,7 @@ def _checked(network: RiverNetwork) -> Floats:
     return length
 
 
-def _domain(network: RiverNetwork, outline: Polylines | None) -> Any:
+def domain_of(network: RiverNetwork, outline: Polylines | None) -> Any:
     """Return the area that gets ridges, as a shapely polygon."""
     import shapely
 

@@ -121,12 +121,11 @@ def watersheds(sites: Sites, domain: Any, spacing: float, detour: float) -> Wate
     import shapely
 
     centre, corners, edge, between, suspects = _voronoi(sites, domain.bounds)
-    edge, between = _welded(centre, edge, between, sites.elevation[corners].max(axis=1))
+    edge, between = _welded(centre, edge, between, sites.elevation[corners.T].max(axis=0))
     rivers = shapely.linestrings(sites.position[sites.pieces])
     inside = shapely.contains_xy(domain, centre[:, 0], centre[:, 1])
-    ends_inside = inside[edge]
     # A domain that bulges inwards may be left in between.
-    whole = ends_inside.all(axis=1)
+    whole = inside[edge[:, 0]] & inside[edge[:, 1]]
     if domain.area < (1 - 1e-12) * domain.convex_hull.area:
         lines = shapely.linestrings(centre[edge])
         whole &= ~shapely.intersects(domain.boundary, lines)
@@ -169,15 +168,14 @@ def _voronoi(sites: Sites, bounds: tuple[float, ...]) -> tuple[Floats, Index, In
     one = corners[triangle, (opposite + 1) % 3]
     two = corners[triangle, (opposite + 2) % 3]
     far = corners[other]
-    apex = (corners[triangle, opposite], far.sum(axis=1) - one - two)
+    apex = (corners[triangle, opposite], far[:, 0] + far[:, 1] + far[:, 2] - one - two)
     acute = np.ones(len(one), np.bool_)
     for tip in apex:
         u, v = local[one] - local[tip], local[two] - local[tip]
         # Right angles are left to the exact test: on a lattice they are frequent.
-        acute &= (u * v).sum(axis=1) > CONTACT * (u**2 + v**2).sum(axis=1)
-    keys = np.sort(np.minimum(one, two)[acute] * (count + 4) + np.maximum(one, two)[acute])
-    wanted = sites.pieces.min(axis=1) * (count + 4) + sites.pieces.max(axis=1)
-    suspects = ~_among(wanted, keys)
+        acute &= _dot(u, v) > CONTACT * (_dot(u, u) + _dot(v, v))
+    keys = np.sort(_keys(one[acute], two[acute], count + 4))
+    suspects = ~_among(_keys(sites.pieces[:, 0], sites.pieces[:, 1], count + 4), keys)
     true = (one < count) & (two < count)
     edge = np.stack([triangle, other], axis=1)[true]
     corners = np.minimum(corners, count - 1)
@@ -190,7 +188,8 @@ def _welded(centre: Floats, edge: Index, between: Index, height: Floats) -> tupl
     from scipy.sparse.csgraph import connected_components
 
     legs = centre[edge[:, 0]] - centre[edge[:, 1]]
-    tiny = np.hypot(legs[:, 0], legs[:, 1]) <= CONTACT * np.abs(centre[edge[:, 0]]).max(axis=1, initial=0)
+    size = np.maximum(*np.abs(centre).T)
+    tiny = np.hypot(legs[:, 0], legs[:, 1]) <= CONTACT * size[edge[:, 0]]
     if not tiny.any():
         return edge, between
     one, two = edge[tiny].T
@@ -208,10 +207,19 @@ def _circumcentres(a: Floats, b: Floats, c: Floats) -> Floats:
     across = 2 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
     # Slivers on the rim of collinear points have their centre far away; it only has to be outside.
     across = np.where(np.abs(across) < 1e-14, np.copysign(1e-14, across), across)
-    p, q = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
+    p, q = _dot(ab, ab), _dot(ac, ac)
     x = (ac[:, 1] * p - ab[:, 1] * q) / across
     y = (ab[:, 0] * q - ac[:, 0] * p) / across
     return np.asarray(a + np.stack([x, y], axis=1))
+
+
+def _dot(u: Floats, v: Floats) -> Floats:
+    return np.asarray(np.einsum("ij,ij->i", u, v))
+
+
+def _keys(one: Index, two: Index, count: int) -> Index:
+    """Return a number for every pair of numbers below `count`, the same for both orders."""
+    return np.asarray(np.minimum(one, two) * count + np.maximum(one, two))
 
 
 def _among(wanted: Index, ordered: Index) -> Flags:
@@ -224,9 +232,8 @@ def _among(wanted: Index, ordered: Index) -> Flags:
 def _parting(sites: Sites, between: Index, detour: float) -> Flags:
     """Return which edges part sites that do not follow each other on a river, nor lie in one gentle bend of it."""
     count = len(sites.position)
-    linked = np.sort(sites.pieces.min(axis=1) * count + sites.pieces.max(axis=1))
-    parting = ~_among(between.min(axis=1) * count + between.max(axis=1), linked)
     one, two = between.T
+    parting = ~_among(_keys(one, two, count), np.sort(_keys(sites.pieces[:, 0], sites.pieces[:, 1], count)))
     link, below = sites.link, sites.below
     along = (link[one] == link[two]) | (link[one] == below[two]) | (link[two] == below[one])
     legs = sites.position[one] - sites.position[two]
@@ -239,13 +246,19 @@ def _uncrossed(segments: Index, points: Floats, rivers: npt.NDArray[Any], domain
     """Return the segments that have a length and touch none of these pieces of river."""
     import shapely
 
-    segments = segments[(points[segments[:, 0]] != points[segments[:, 1]]).any(axis=1)]
+    segments = segments[~_same(points, segments)]
     lines = shapely.linestrings(points[segments])
     keep = np.ones(len(segments), np.bool_)
     west, south, east, north = domain.bounds
     contact = CONTACT * float(np.hypot(east - west, north - south))
     keep[shapely.STRtree(rivers).query(lines, predicate="dwithin", distance=contact)[0]] = False
     return segments[keep]
+
+
+def _same(points: Floats, segments: Index) -> Flags:
+    """Return which segments begin and end on one spot."""
+    x, y = (points[segments[:, 0]] == points[segments[:, 1]]).T
+    return np.asarray(x & y)
 
 
 def _clipped(centre: Floats, edge: Index, domain: Any) -> tuple[Index, Floats, Floats]:
@@ -302,7 +315,7 @@ def _border(domain: Any, hits: Floats, rivers: npt.NDArray[Any], spacing: float)
         segments.append(np.stack([run, np.roll(run, -1)], axis=1))
         count += len(spots)
     border, ends = np.concatenate(points), np.concatenate(segments)
-    ends = ends[(border[ends[:, 0]] != border[ends[:, 1]]).any(axis=1)]
+    ends = ends[~_same(border, ends)]
     tree = shapely.STRtree(shapely.linestrings(border[ends]))
     size = float(np.hypot(*np.ptp(border, axis=0)))
     touched = tree.query(rivers, predicate="dwithin", distance=CONTACT * size)[1]

@@ -57,6 +57,13 @@ EXAMPLES: dict[str, list[Example]] = {
             {"threshold": 4e5, "within": 3, "least_order": 1, "depressions": "breach"}, designed=NETWORK, terrain=WIDE
         ),
     ],
+    "hydrology.carve_rivers": cases(
+        {},
+        {"flattest": 0, "steepest": None},
+        {"flattest": 0.1, "steepest": 0.5, "reach": 300},
+        surface=WIDE,
+        network=RIVERS,
+    ),
     "hydrology.drainage_area": cases({}, {"depressions": "breach", "method": "dinf"}, surface=GROUND),
     "hydrology.draw_network": [
         *cases({"size": 150}, {"size": 120, "width": 3, "lowest_order": 2, "legend": False}, network=NETWORK),
@@ -68,6 +75,10 @@ EXAMPLES: dict[str, list[Example]] = {
     "hydrology.extract_streams": cases(
         {"threshold": 8000}, {"threshold": 4000, "depressions": "breach", "method": "dinf"}, surface=GROUND
     ),
+    "hydrology.headwaters": [
+        *cases({}, {"spacing": 500, "variety": 0, "seed": 2}, network=NETWORK),
+        *cases({"spacing": 400}, network=NETWORK, outline=OUTLINE),
+    ],
     "hydrology.network_statistics": cases({}, {"title": "Rivers"}, network=NETWORK),
     "hydrology.stream_order": cases(
         {"threshold": 8000},
@@ -125,6 +136,7 @@ EXAMPLES: dict[str, list[Example]] = {
         {"relief": 300, "outlet_elevation": 20},
         {"mode": "concave"},
         {"mode": "concave", "concavity": 0.6, "steepness": 60, "hillslope": 200},
+        {"steepest": 0.3, "least_fall": 0.2},
         network=NETWORK,
     ),
     "hydrology.river_network": [

@@ -48,16 +48,29 @@ OTHER = raster(rough(35, 46, 9, 2500.0), BLOCK.extent.west, BLOCK.extent.south)
 ROUND = raster(np.hypot(*(np.indices((35, 46)) - np.array([17, 23])[:, None, None])) < 15, *(200.0, 130.0), kind=Mask)
 
 
-@given(st.integers(3, 30), st.integers(3, 30), st.floats(0.2, 5), st.integers(0, 2**32 - 1))
-def test_sine_transform_solves_the_equation(rows: int, cols: int, ratio: float, seed: int) -> None:
+@given(st.integers(3, 30), st.integers(3, 30), st.floats(0.2, 5), st.integers(0, 2**32 - 1), st.booleans())
+def test_sine_transform_solves_the_equation(rows: int, cols: int, ratio: float, seed: int, sourceless: bool) -> None:
     dice = np.random.default_rng(seed)
     values, source = dice.normal(size=(2, rows, cols))
+    if sourceless:
+        source[:] = 0
     across, down = ratio, 1 / ratio
-    made = poisson.solve_rectangle(values, source, across, down)
+    made = poisson.solve_rectangle(values, None if sourceless else source, across, down)
     laplacian = poisson.divergence(across * np.diff(made, axis=1), down * np.diff(made, axis=0))
     np.testing.assert_allclose(laplacian[1:-1, 1:-1], source[1:-1, 1:-1], atol=1e-8)
     for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]):
         np.testing.assert_array_equal(made[edge], values[edge])
+
+
+@pytest.mark.parametrize("shape", [(257, 257), (131, 300), (5, 700)])
+def test_float32_is_enough_without_a_source(shape: tuple[int, int]) -> None:
+    """What the node promises: an error of 1e-6 of the largest shift."""
+    values = np.random.default_rng(5).normal(size=shape).cumsum(axis=0).cumsum(axis=1)
+    values /= np.abs(values).max()
+    exact = poisson.solve_rectangle(values, None, 0.8, 1.25)
+    made = poisson.solve_rectangle(values.astype(np.float32), None, 0.8, 1.25)
+    assert made.dtype == np.float32
+    assert np.abs(made - exact).max() < 1e-6
 
 
 def test_multigrid_and_sine_transform_agree() -> None:
@@ -148,6 +161,29 @@ def test_quarter_turns_are_exact(turns: int) -> None:
     centre = ((BLOCK.extent.west + BLOCK.extent.east) / 2, (BLOCK.extent.south + BLOCK.extent.north) / 2)
     made = poisson_blend(BASE, turned, position=centre, rotation=90.0 * turns)
     np.testing.assert_allclose(made.data, BASE.data, rtol=1e-5)
+
+
+@given(st.integers(-3, 4), st.integers(-25, 70), st.integers(-25, 90), st.integers(0, 999))
+def test_on_the_grid_cells_are_copied_in_any_quarter_turn(turns: int, top: int, left: int, seed: int) -> None:
+    dice = np.random.default_rng(seed)
+    data, share = dice.normal(900, 50, (21, 30)).astype(np.float32), dice.random((21, 30))
+    data[dice.random(data.shape) < 0.1] = np.nan
+    turned = np.rot90(data, turns)
+    expected, wanted = np.full((160, 180), np.nan), np.zeros((160, 180), bool)
+    part = np.s_[50 + top : 50 + top + turned.shape[0], 50 + left : 50 + left + turned.shape[1]]
+    expected[part], wanted[part] = turned, np.rot90(share >= 0.5, turns)
+    centre = (10 * (left + turned.shape[1] / 2), 600 - 10 * (top + turned.shape[0] / 2))
+    found = place(BASE, raster(data), raster(share, kind=Mask), Similarity(centre, 90.0 * turns, 1.0), Context())
+    expected, wanted = expected[50:110, 50:130], wanted[50:110, 50:130]
+    if found is None:
+        assert np.isnan(expected).all()
+        return
+    known = ~np.isnan(expected)
+    assert known.sum() == found.known.sum()
+    known = known[found.rows, found.cols]
+    np.testing.assert_array_equal(found.known, known)
+    np.testing.assert_array_equal(found.heights[known], expected[found.rows, found.cols][known])
+    np.testing.assert_array_equal(found.wanted[known], wanted[found.rows, found.cols][known])
 
 
 @given(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import Delaunay, QhullError
 
 from nodegraph_hydrology.network import RiverNetwork
 from nodegraph_hydrology.river_heights import river_heights
@@ -34,6 +35,60 @@ def test_strictly_downhill_and_as_high_as_asked(rivers, mode, concavity, relief)
     assert (done.elevation[flows] > done.elevation[rivers.downstream[flows]]).all()
     assert (done.elevation[~flows] == 100).all()
     assert done.elevation.max() == pytest.approx(100 + relief)
+
+
+@settings(max_examples=40, deadline=None)
+@given(networks(), st.sampled_from(["proportional", "concave"]), st.floats(1e-3, 2), st.floats(0.01, 1))
+def test_no_river_towers_over_one_beside_it(rivers, mode, steepest, least):
+    free = river_heights(rivers, mode=mode, relief=500)
+    done = river_heights(rivers, mode=mode, relief=500, steepest=steepest, least_fall=least)
+    down, flows = rivers.downstream, rivers.downstream >= 0
+    assert (done.elevation <= free.elevation + 1e-9).all()
+    fall, was = (z.elevation[flows] - z.elevation[down[flows]] for z in (done, free))
+    assert (fall >= least * was - 1e-9).all()
+    assert (fall > 0).all()
+    np.testing.assert_allclose(done.elevation, plainly_lowered(rivers, free.elevation, steepest, least), atol=1e-6)
+
+
+def plainly_lowered(rivers, heights, steepest, least):
+    """Lower nodes one by one until every bound is kept (Bellman and Ford); where both cannot be, the fall is."""
+    one, two = delaunay_edges(rivers.position)
+    gap = steepest * np.hypot(*(rivers.position[one] - rivers.position[two]).T)
+    gap = np.maximum(gap, least * (heights[two] - heights[one]))
+    upper = np.flatnonzero(rivers.downstream >= 0)
+    lower = rivers.downstream[upper]
+    made = heights.copy()
+    for _ in range(len(made) + 1):
+        np.minimum.at(made, two, made[one] + gap)
+        np.minimum.at(made, lower, made[upper] - least * (heights[upper] - heights[lower]))
+    return made
+
+
+def delaunay_edges(position):
+    try:
+        corners = Delaunay(position - position.mean(axis=0)).simplices
+    except QhullError:
+        return np.zeros((2, 0), np.int64)
+    pairs = np.concatenate([corners[:, [i, j]] for i in range(3) for j in range(3) if i != j])
+    return np.unique(pairs, axis=0).T
+
+
+def test_a_slope_that_is_kept_changes_nothing():
+    rivers = network([[0, 0], [300, 0], [300, 900], [900, 50]], [-1, 0, 1, 1])
+    free = river_heights(rivers, relief=10)
+    np.testing.assert_allclose(river_heights(rivers, relief=10, steepest=1).elevation, free.elevation)
+
+
+def test_the_source_of_a_long_river_comes_down_to_one_beside_it():
+    # A river that winds up to a stone's throw from the mouth of another.
+    winding = [[0, 0], [0, 4000], [3000, 4000], [3000, 100]]
+    rivers = network([*winding, [3050, 0], [3060, 60]], [-1, 0, 1, 2, -1, 4])
+    free = river_heights(rivers, relief=1000)
+    done = river_heights(rivers, relief=1000, steepest=0.2)
+    assert free.elevation[3] == 1000
+    # A tenth of its own fall it keeps.
+    assert done.elevation[3] >= 100
+    assert done.elevation[3] < 0.2 * free.elevation[3]
 
 
 @given(networks())

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy import ndimage
 
 from nodegraph.context import Context
 from nodegraph.errors import Cancelled
@@ -148,3 +149,57 @@ def test_real_srtm_voids(real_data: Path, name: str) -> None:
     assert filled.data.max() <= np.nanmax(dem.data)
     # Rounding to float32 at 8000 m leaves up to half a millimetre per neighbour.
     assert residual(filled.data, *ground_cell(dem))[missing].max() < 2e-3
+
+
+def everest(folder: Path) -> Elevation:
+    return load_elevation(path=tuple(sorted((folder / "everest").glob("*.hgt"))))
+
+
+@pytest.mark.slow
+def test_the_voids_of_everest(real_data: Path) -> None:
+    """Four tiles as one: every void takes heights between the lowest and the highest of the cells beside it."""
+    tiles = [load_elevation(path=path) for path in sorted((real_data / "everest").glob("*.hgt"))]
+    assert sum(int(np.isnan(tile.data).sum()) for tile in tiles) == 305_338
+    dem = everest(real_data)
+    assert dem.shape == (2401, 2401)
+    missing = np.isnan(dem.data)
+    # Of what two tiles share, voids of the one are known in the other, or count once.
+    assert 304_000 < missing.sum() < 305_338
+    filled = fill_voids(dem).data
+    np.testing.assert_array_equal(filled[~missing], dem.data[~missing])
+    assert np.isfinite(filled).all()
+    labels, count = ndimage.label(missing)
+    assert count > 1000
+    low, high = np.full(count + 1, np.inf), np.full(count + 1, -np.inf)
+    for axis in (0, 1):
+        for step in (1, -1):
+            # The cell beside, where there is one; the edge of the raster has none.
+            index = np.clip(np.arange(2401) + step, 0, 2400)
+            beside = np.take(dem.data, index, axis=axis)
+            rim = missing & ~np.isnan(beside)
+            np.minimum.at(low, labels[rim], beside[rim])
+            np.maximum.at(high, labels[rim], beside[rim])
+    assert (filled[missing] >= low[labels[missing]]).all()
+    assert (filled[missing] <= high[labels[missing]]).all()
+
+
+@pytest.mark.slow
+def test_voids_cut_into_known_ground_come_back_as_well_as_by_gdal(real_data: Path) -> None:
+    """The voids of Everest cut into the Andes: the membrane beside GDAL's weighted means, and the nearest cell."""
+    from rasterio.fill import fillnodata
+
+    andes = load_elevation(path=real_data / "andes_S33W071" / "S33W071.tif")
+    voids_of = np.isnan(everest(real_data).data)
+    for row, col in ((0, 0), (1200, 0), (0, 1200), (1200, 1200)):
+        missing = voids_of[row : row + 1201, col : col + 1201]
+        holed = andes.like(np.where(missing, np.float32(np.nan), andes.data))
+
+        def error(filled: np.ndarray, missing: np.ndarray = missing) -> float:
+            return float(np.sqrt(np.mean((filled - andes.data)[missing].astype(np.float64) ** 2)))
+
+        # Its default smooths nothing; a distance that reaches across every void.
+        known = np.where(missing, np.float32(0), andes.data)
+        by_gdal = error(fillnodata(known, mask=(~missing).astype(np.uint8), max_search_distance=400))
+        membrane, nearest = error(fill_voids(holed).data), error(fill_voids(holed, method="nearest").data)
+        assert membrane < 1.1 * by_gdal
+        assert membrane < 0.9 * nearest
