@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import operator
 import zlib
 from collections.abc import Callable
 from functools import cached_property
@@ -23,7 +24,7 @@ class Context:
     """Handed to a node whose keyword parameter is annotated `Context`.
 
     A plain call of the node function, without an engine, gets an inert one: progress goes nowhere, nothing is ever
-    cancelled, the seed is the call's parameter ``seed`` (0 where there is none) and there is no device.
+    cancelled, the dice are those of a run with the same parameters and there is no device.
 
     Attributes:
         node: the node's id in its graph.
@@ -35,8 +36,8 @@ class Context:
         self,
         node: str = "",
         *,
-        type_id: str = "",
-        seed: int = 0,
+        dice: str = "",
+        seed: object = 0,
         device: Device | None = None,
         cancelled: Event | None = None,
         report: Callable[[float | None, str], None] | None = None,
@@ -44,8 +45,8 @@ class Context:
     ) -> None:
         self.node = node
         self.device = device
-        self._type_id = type_id
-        self._seed = seed
+        self._dice = dice
+        self._seed = operator.index(seed) if hasattr(seed, "__index__") else 0
         self._cancelled = cancelled
         self._report = report
         self._remember = remember
@@ -84,10 +85,12 @@ class Context:
 
     @cached_property
     def rng(self) -> np.random.Generator:
-        """A random generator that depends on the node's type and on its parameter `seed` (0 where it has none).
+        """A random generator that depends on the name of the node's type and on its parameter `seed`.
 
-        It does not depend on the other parameters: turning a knob never reshuffles the dice.
+        The name is without the family, which a node gets only when its plugin is registered: a call in a notebook and a
+        run throw the same dice.  The seed is 0 where the node has none, or one that is no integer.  The other
+        parameters do not count: turning a knob never reshuffles the dice.
         """
         import numpy as np
 
-        return np.random.default_rng([self._seed & 0xFFFFFFFFFFFFFFFF, zlib.crc32(self._type_id.encode())])
+        return np.random.default_rng([self._seed & 0xFFFFFFFFFFFFFFFF, zlib.crc32(self._dice.encode())])

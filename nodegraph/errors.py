@@ -35,6 +35,34 @@ class Problem:
         return f"{self.where}: {self.message}" if self.where else self.message
 
 
+class Problems:
+    """Collects what is wrong in a graph, so that all of it is reported at once, in the order of the file.
+
+    Attributes:
+        found: in the order of finding.
+        places: the nodes as messages name them, numbered in the order of the file.
+    """
+
+    def __init__(self) -> None:
+        self.found: list[Problem] = []
+        self.places: dict[str, int] = {}
+
+    def add(self, where: str, message: str) -> None:
+        """Note a problem."""
+        self.found.append(Problem(where, message))
+
+    def in_order(self) -> list[Problem]:
+        """Return the problems in the order of the file: those of the whole graph, then node by node."""
+
+        def place(problem: Problem) -> int:
+            where = problem.where
+            while where and where not in self.places:
+                where = where.rpartition(": ")[0]
+            return self.places.get(where, -1)
+
+        return sorted(dict.fromkeys(self.found), key=place)
+
+
 class NodegraphError(Exception):
     """The base of every error that a user of nodegraph can cause or meet."""
 

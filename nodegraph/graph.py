@@ -27,7 +27,7 @@ from nodegraph import jsontext
 from nodegraph.atomic import write_atomically
 from nodegraph.document import FORMAT, NODE_ID, check_form
 from nodegraph.errors import GraphError, Problem, nearest
-from nodegraph.migrate import migrate
+from nodegraph.migrate import upgrade
 from nodegraph.nodetypes import Node
 from nodegraph.plugins import Registry, registry
 
@@ -59,6 +59,12 @@ class Ref(NamedTuple):
         return cls(node, port)
 
 
+class Output(Ref):
+    """A reference that knows its graph, so that no other takes it for one of its own: ``handle["port"]``."""
+
+    graph: Graph
+
+
 class Handle:
     """A node in a graph under construction: link it by passing it, or one of its outputs ``handle["port"]``."""
 
@@ -66,8 +72,10 @@ class Handle:
         self.graph = graph
         self.id = id
 
-    def __getitem__(self, port: str) -> Ref:
-        return Ref(self.id, port)
+    def __getitem__(self, port: str) -> Output:
+        output = Output(self.id, port)
+        output.graph = self.graph
+        return output
 
     def __repr__(self) -> str:
         return f"<node '{self.id}'>"
@@ -203,7 +211,7 @@ class Graph:
         for name, value in ports_and_params.items():
             if (declared is None and _is_link(value)) or (declared is not None and declared.input(name)):
                 if value is not None:
-                    inputs[name] = _link(value)
+                    inputs[name] = self._link(value)
             elif declared is None or name in declared.parameters.fields:
                 params[name] = _json_value(value, f"{self.name}: node '{id}': parameter '{name}'")
             else:
@@ -222,7 +230,7 @@ class Graph:
         ref = Ref.parse(port)
         inputs = self._record(ref.node).setdefault("inputs", {})
         if sources:
-            inputs[ref.port] = _link(list(sources) if len(sources) > 1 else sources[0])
+            inputs[ref.port] = self._link(list(sources) if len(sources) > 1 else sources[0])
         else:
             inputs.pop(ref.port, None)
         self._edits += 1
@@ -266,7 +274,24 @@ class Graph:
 
     def set_output(self, name: str, source: Any) -> None:
         """Expose an output of the whole graph."""
-        self._section("outputs")[name] = _link(source)
+        self._section("outputs")[name] = self._link(source)
+
+    def _link(self, value: Any) -> Any:
+        if isinstance(value, (Handle, Output)) and value.graph is not self:
+            node = value.id if isinstance(value, Handle) else value.node
+            message = f"'{node}' is a node of another graph ('{value.graph.name}'); give one of this graph"
+            raise GraphError(message, self.name)
+        if isinstance(value, Handle):
+            return value.id
+        if isinstance(value, (Ref, str)):
+            return str(value)
+        if isinstance(value, (list, tuple)):
+            return [self._link(item) for item in value]
+        raise TypeError(f"{value!r} is no node or output; give a handle, handle['port'] or 'node.port'")
+
+    def _targets(self, targets: Any) -> list[str]:
+        one = isinstance(targets, (str, Handle, Ref))
+        return [str(self._link(target)) for target in ([targets] if one else targets)]
 
     def _section(self, key: str) -> dict[str, Any]:
         if key not in self._data:
@@ -303,7 +328,7 @@ class Graph:
         Raises:
             GraphError: listing every problem.
         """
-        from nodegraph.network import build
+        from nodegraph.build import build
 
         if overrides:
             return build(
@@ -320,10 +345,18 @@ class Graph:
         self.network()
 
     def upgraded(self) -> Graph:
-        """Return a copy with every plugin's migrations applied, and node versions written."""
+        """Return a copy with every plugin's migrations applied, and node versions written.
+
+        Raises:
+            GraphError: a migration failed, or the default of an exposed parameter would have to be two values.
+        """
         graph = Graph(registry=self._registry)
         graph.path = self.path
-        graph._data, changes = migrate(self._data, self._registry or registry(), write_versions=True)
+        try:
+            graph._data, changes = upgrade(self._data, self._registry or registry())
+        except GraphError as error:
+            problems = [Problem(f"{self.name}: {item.where}", item.message) for item in error.problems]
+            raise GraphError(problems) from error
         graph._original = self._original
         graph._edits = len(changes)
         return graph
@@ -345,7 +378,7 @@ class Graph:
         """Say what a run would compute and why, without running anything.  Options as for `run`."""
         from nodegraph.run import plan_graph
 
-        return plan_graph(self, _targets(targets), **options)
+        return plan_graph(self, self._targets(targets), **options)
 
     def run(
         self,
@@ -384,7 +417,7 @@ class Graph:
 
         return run_graph(
             self,
-            _targets(targets),
+            self._targets(targets),
             overrides=set,
             cache=cache,
             jobs=jobs,
@@ -414,11 +447,6 @@ def _stamps(network: Network) -> list[tuple[int, int] | None]:
     return found
 
 
-def _targets(targets: Any) -> list[str]:
-    one = isinstance(targets, (str, Handle, Ref))
-    return [str(_link(target)) for target in ([targets] if one else targets)]
-
-
 def _exact(data: Any) -> str:
     """Return a text that is equal for two documents only when they agree in order and in number types."""
     return json.dumps(data, ensure_ascii=False)
@@ -431,16 +459,6 @@ def _as_list(links: str | list[str]) -> list[str]:
 def _is_link(value: Any) -> bool:
     items = value if isinstance(value, list) else [value]
     return bool(items) and all(isinstance(item, (Handle, Ref)) for item in items)
-
-
-def _link(value: Any) -> Any:
-    if isinstance(value, Handle):
-        return value.id
-    if isinstance(value, (Ref, str)):
-        return str(value)
-    if isinstance(value, (list, tuple)):
-        return [_link(item) for item in value]
-    raise TypeError(f"{value!r} is no node or output; give a handle, handle['port'] or 'node.port'")
 
 
 def _json_value(value: Any, where: str) -> Any:

@@ -166,7 +166,7 @@ class Node(Generic[P, R]):
             # The same dice as in a run, so that a plain call gives what the engine gives.
             declared = self.parameters.fields.get("seed")
             seed = kwargs.get("seed", declared.default if declared is not None else 0)
-            kwargs[name] = Context(type_id=self.id, seed=seed if isinstance(seed, int) else 0)
+            kwargs[name] = Context(dice=self.name, seed=seed)
         return self.function(*args, **kwargs)
 
     def __repr__(self) -> str:

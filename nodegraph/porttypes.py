@@ -71,6 +71,12 @@ def describe(cls: type) -> str:
     return _keys[cls] if cls in BUILTIN.values() else cls.__name__
 
 
+def with_article(cls: type) -> str:
+    """Return the name of a type as a sentence has it: ``an Elevation``, ``a Mask``."""
+    name = describe(cls)
+    return f"an {name}" if name[:1] in "AEIOU" else f"a {name}"
+
+
 def key_of(cls: type) -> str:
     """Return the name that stored values carry: with the module, so that no two types share it."""
     return _keys[cls]
@@ -106,6 +112,19 @@ def accepts(target: type, source: type) -> bool:
     if source is bool:
         return target is bool
     return issubclass(source, target) or (target is float and source is int)
+
+
+def nearest_common(first: type, second: type, bound: type) -> type:
+    """Return the most special port type below `bound` that accepts both types, which `bound` accepts.
+
+    >>> nearest_common(int, float, float).__name__
+    'float'
+    """
+    wider = [float] if first is int else []
+    for cls in [*first.__mro__, *wider]:
+        if is_port_type(cls) and accepts(cls, second) and accepts(bound, cls):
+            return cls
+    return bound
 
 
 def conform(value: Any, target: type) -> Any:

@@ -141,11 +141,10 @@ class Producer:
                 last = moment
                 self._report(step.id, fraction, message)
 
-        seed = step.params.get("seed", 0)
         return Context(
             step.id,
-            type_id=step.node.id,
-            seed=seed if isinstance(seed, int) else 0,
+            dice=step.node.name,
+            seed=step.params.get("seed", 0),
             device=self._plan.device if twin else None,
             cancelled=self._cancel,
             report=report,

@@ -12,8 +12,11 @@ from collections.abc import Iterable, Mapping
 
 from xxhash import xxh3_128_digest
 
-SCHEMA = 1
-"""Raised when keys come to mean something else; older results are then never found again."""
+SCHEMA = 2
+"""Raised when keys come to mean something else; older results are then never found again.
+
+2: the dice of a node depend on its name, no longer on its family.
+"""
 
 
 def prefix(type_id: str, version: int, code: bytes, device: str = "") -> bytes:

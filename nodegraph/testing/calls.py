@@ -93,8 +93,7 @@ class Call:
         Raises:
             BrokenError: it failed, or returned other types than it declares.
         """
-        seed = self.checked.values.get("seed", 0)
-        context = Context(type_id=self.node.id, seed=seed if isinstance(seed, int) else 0, device=device)
+        context = Context(dice=self.node.name, seed=self.checked.values.get("seed", 0), device=device)
         params = self.node.parameters.check(self.example.params).values
         inputs = self.copies() if linked is None else linked
         try:

@@ -46,6 +46,29 @@ def test_ids_are_numbered_where_taken() -> None:
     assert "nope" not in graph
 
 
+def test_a_node_of_another_graph_is_refused() -> None:
+    """Both have a node 'number': by its id alone the one would pass for the other."""
+    graph, other = toy.toy_graph(), toy.toy_graph(title="Valley")
+    own, stranger = graph.add("toy.number"), other.add("toy.number")
+    before = graph.to_json()
+    message = r"^toys: 'number' is a node of another graph \('Valley'\); give one of this graph$"
+    for link in (stranger, stranger["out"]):
+        with pytest.raises(GraphError, match=message):
+            graph.add("toy.increase", x=link)
+        with pytest.raises(GraphError, match=message):
+            graph.add("toy.add", terms=[own, link])
+        with pytest.raises(GraphError, match=message):
+            graph.add("graph", "sub", path="x.json", ground=link)
+        with pytest.raises(GraphError, match=message):
+            graph.set_output("o", link)
+        with pytest.raises(GraphError, match=message):
+            graph.run([link], cache=toy.memory_cache())
+        with pytest.raises(GraphError, match=message):
+            graph.plan(link, cache=toy.memory_cache())
+    assert graph.to_json() == before
+    assert graph.run(own["out"], cache=toy.memory_cache())[str(own["out"])] == 1.0
+
+
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [

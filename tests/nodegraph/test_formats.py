@@ -192,7 +192,7 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
         found = Registry()
         found.add(toy.plugin(f"acme_{next(numbers)}", formats=lambda: formats))
         monkeypatch.setattr("nodegraph.plugins.registry", lambda: found)
-        monkeypatch.setattr("nodegraph.network.registry", lambda: found)
+        monkeypatch.setattr("nodegraph.scopes.registry", lambda: found)
         monkeypatch.setitem(load.function.__globals__, "registry", lambda: found)
         fingerprints.cache_clear()
 
@@ -342,10 +342,10 @@ READER = """
 PROGRAM = """
     import importlib, sys
     sys.path.insert(0, sys.argv[1])
-    import nodegraph.network, nodegraph.plugins
+    import nodegraph.plugins, nodegraph.scopes
     from nodegraph.plugins import Registry
     found = Registry()
-    nodegraph.plugins.registry = nodegraph.network.registry = lambda: found
+    nodegraph.plugins.registry = nodegraph.scopes.registry = lambda: found
     found.add(importlib.import_module(f"{sys.argv[2]}.plugin"))
     from nodegraph.plan import fingerprints
     from tests.nodegraph.test_formats import load

@@ -83,7 +83,7 @@ def test_a_chain_from_the_first_version(order: int) -> None:
     } | {"type": "new.carve"}
     assert list(after["nodes"]["n"]["params"]) == ["mode", "width"], "the author's order stays"
     assert after["nodes"]["after"]["inputs"]["terms"] == ["n.low", "n", "n.high", "a.out"]
-    assert after["parameters"] == {"wide": {"default": 3, "drives": ["n.width"]}}
+    assert after["parameters"] == {"wide": {"default": 3000, "drives": ["n.width"]}}
     assert after["outputs"] == {"result": "n.high", "first": "n"}
 
 
@@ -269,6 +269,121 @@ def test_a_renaming_circle_ends() -> None:
     for version in ({}, {"version": 1}):
         data = {"format": "nodegraph/1", "nodes": {"n": {"type": "new.x", **version}}}
         assert len(Graph.from_json(json.dumps(data), registry=registry(*found)).upgraded()) == 1
+
+
+# A parameter of the whole graph whose value goes through a migration.
+
+
+def driving(*drives: str, version: int | None = 3, **entry: Any) -> dict[str, Any]:
+    """Two nodes side by side: `n` of version 3, whose width becomes metres with 4, and `m` of today."""
+    record = {"type": "new.carve", "params": {"width": 2}, "inputs": {"surface": "a"}}
+    data = document({**record, **({"version": version} if version else {})})
+    data["nodes"]["n"]["inputs"] = record["inputs"]
+    data["nodes"]["m"] = {**record, "version": 4}
+    return {**data, "parameters": {"wide": {**entry, "drives": list(drives)}}}
+
+
+def widths(graph: Graph, **options: Any) -> tuple[Any, Any]:
+    result = graph.run(["n", "m"], cache=toy.memory_cache(), **options)
+    return result["n.high"], result["m.high"]
+
+
+def test_a_driven_value_goes_through_the_change() -> None:
+    """Kilometres the graph's parameter was, and is: also where a person sets it, or a graph around this one."""
+    graph = load(driving("n.width", default=3))
+    assert widths(graph) == (3000.0, 2.0)
+    assert widths(graph, set={"wide": 5}) == (5000.0, 2.0)
+    assert widths(graph, set={"n.width": 5}) == (5.0, 2.0), "a node's own parameter has the meaning of today"
+    assert widths(load(driving("n.width"))) == (2000.0, 2.0)
+    assert widths(load(driving("n.width")), set={"wide": 5}) == (5000.0, 2.0)
+    assert widths(load(driving("n.width", default=3, version=None))) == (3.0, 2.0), "of unknown age"
+
+
+def test_of_several_driven_nodes_each_gets_the_value_that_its_version_means() -> None:
+    graph = load(driving("n.width", "m.width", default=3))
+    assert widths(graph) == (3000.0, 3.0)
+    assert widths(graph, set={"wide": 5}) == (5000.0, 5.0)
+    with pytest.raises(GraphError, match=r"'wide': its default is 3000 for 'n.width' and 3 for 'm.width', .* two"):
+        graph.upgraded()
+
+
+def test_upgrading_rewrites_the_default_and_the_result_stays() -> None:
+    old = load(driving("n.width", default=3))
+    new = old.upgraded()
+    assert new.data["parameters"] == {"wide": {"default": 3000, "drives": ["n.width"]}}
+    assert new.data["nodes"]["n"] == {**old.data["nodes"]["n"], "version": 4, "params": {"width": 2000}}
+    assert widths(new) == widths(old)
+    assert widths(new, set={"wide": 5}) == (5.0, 2.0), "its value has the new meaning now"
+    both = driving("n.width", "m.width", default=3)
+    both["nodes"]["m"]["version"] = 3
+    assert load(both).upgraded().data["parameters"]["wide"]["default"] == 3000
+    assert widths(load(both).upgraded()) == widths(load(both)) == (3000.0, 3000.0)
+    assert migrated(driving("n.width"))["parameters"] == {"wide": {"drives": ["n.width"]}}
+
+
+def test_a_driven_value_is_followed_through_renames_before_and_after_its_change() -> None:
+    found = [
+        Migration("new.carve", 2, parameters={"w": "breadth"}),
+        Migration("new.carve", 3, change=lambda params: {name: value * 10 for name, value in params.items()}),
+        Migration("new.carve", 4, parameters={"breadth": "width"}),
+        Migration("new.carve", 4, change=metres),
+    ]
+    data = driving("n.w", version=1, default=3)
+    data["nodes"]["n"]["params"] = {}
+    graph = Graph.from_json(json.dumps(data), registry=registry(*found))
+    assert widths(graph) == (30000.0, 2.0)
+    after = graph.upgraded()
+    assert after.data["parameters"] == {"wide": {"default": 30000, "drives": ["n.width"]}}
+    assert widths(after) == (30000.0, 2.0)
+
+
+def test_what_follows_from_a_driven_value_is_upgraded_with_it() -> None:
+    def mode_of(params: dict[str, Any]) -> dict[str, Any]:
+        return {"mode": "wide" if params.get("width", 1.0) > 2 else "u", **metres(params)}
+
+    for own in ({}, {"width": 2}):
+        data = driving("n.width", default=3)
+        data["nodes"]["n"]["params"] = own
+        graph = Graph.from_json(json.dumps(data), registry=registry(Migration("new.carve", 4, change=mode_of)))
+        after = graph.upgraded().data
+        assert after["nodes"]["n"]["params"] == {"mode": "wide", **metres(own)}
+        assert after["parameters"]["wide"]["default"] == 3000
+
+
+def test_the_last_of_two_parameters_that_drive_one_has_its_way() -> None:
+    data = driving("n.width", "m.width", default=3)
+    data["parameters"]["wider"] = {"default": 4, "drives": ["n.width"]}
+    graph = load(data)
+    assert widths(graph) == (4000.0, 3.0)
+    after = graph.upgraded()
+    assert widths(after) == (4000.0, 3.0)
+    assert {name: entry["default"] for name, entry in after.data["parameters"].items()} == {"wide": 3, "wider": 4000}
+
+
+def test_a_driven_parameter_that_a_change_replaces() -> None:
+    """The old graph runs; a default for something else is nothing that upgrading could guess."""
+
+    def halved(params: dict[str, Any]) -> dict[str, Any]:
+        return {"width": params["radius"] * 2} if "radius" in params else params
+
+    data = driving("n.radius", default=3)
+    data["nodes"]["n"]["params"] = {}
+    graph = Graph.from_json(json.dumps(data), registry=registry(Migration("new.carve", 4, change=halved)))
+    assert widths(graph) == (6.0, 2.0)
+    with pytest.raises(GraphError, match=r"graph: parameter 'wide': drives 'n.radius', which a migration replaced"):
+        graph.upgraded()
+
+
+def test_a_graph_around_an_old_one_goes_on_saying_kilometres(in_tmp: Any) -> None:
+    (in_tmp / "inner.json").write_text(json.dumps({**driving("n.width", default=3), "outputs": {"o": "n.high"}}))
+    outer = {"format": "nodegraph/1", "nodes": {"sub": {"type": "graph", "params": {"path": "inner.json", "wide": 5}}}}
+    assert Graph.from_json(json.dumps(outer), registry=registry()).run(cache=toy.memory_cache())["sub"] == 5000.0
+
+
+def test_wrong_drives_are_reported_through_a_migration() -> None:
+    for drive, message in (("n", "write it as 'node.parameter'"), ("x.width", "does not exist"), ("n.wdth", "wdth")):
+        with pytest.raises(GraphError, match=message):
+            load(driving(drive, default=3)).validate()
 
 
 def test_inner_files_are_migrated_too(in_tmp: Any) -> None:

@@ -135,6 +135,20 @@ def test_chance_depends_on_type_and_seed_and_nothing_else() -> None:
     assert throws_dice(1.0, seed=8) == value(seed=8)
 
 
+def test_a_call_in_a_notebook_throws_the_dice_of_a_run() -> None:
+    """Before its plugin is registered a node has no family yet: the dice must not depend on it."""
+    fresh = node(version=1)(throws_dice.function)
+    before = [fresh(1.0), fresh(1.0, seed=8), fresh(1.0, seed=np.int64(8))]  # type: ignore[arg-type]
+    assert fresh.id == "local.throws_dice"
+    graph = toy.toy_graph(fresh)
+    assert fresh.family != "local"
+    for id, params in (("a", {}), ("b", {"seed": 8})):
+        graph.add(fresh, id, x=graph.add("toy.number", value=1.0), **params)
+    result = graph.run(cache=toy.memory_cache())
+    assert before == [result["a"], result["b"], result["b"]]
+    assert fresh(1.0) == result["a"], "and afterwards, too"
+
+
 def test_the_context_of_a_run_knows_its_node() -> None:
     seen: list[Any] = []
 

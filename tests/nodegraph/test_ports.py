@@ -13,7 +13,7 @@ from nodegraph import Family, Graph, GraphError, codec, node, port_type
 from nodegraph.cache import Cache
 from nodegraph.errors import PluginError
 from nodegraph.plugins import Registry
-from nodegraph.porttypes import accepts, all_types, conform, describe, named, shape_text, summary
+from nodegraph.porttypes import accepts, all_types, conform, describe, named, nearest_common, shape_text, summary
 from tests.nodegraph import support as toy
 
 
@@ -123,6 +123,67 @@ def test_a_generic_port_keeps_to_its_bound() -> None:
     graph.add("toy.double", surface=graph.add("toy.number"))
     with pytest.raises(GraphError, match=r"takes a Surface, but 'number.out' gives a Number"):
         graph.validate()
+
+
+@port_type
+class Depth(toy.Height):
+    """A height above ground."""
+
+
+def test_a_generic_output_of_several_inputs_has_what_they_have_in_common() -> None:
+    @node(version=1)
+    def depth() -> Depth:
+        """Give a depth."""
+        return Depth(np.ones(3, np.float32))
+
+    @node(version=1)
+    def larger(first: toy.S, second: toy.S) -> toy.S:
+        """Give the one with the larger sum."""
+        return max(first, second, key=lambda surface: surface.data.sum())
+
+    @node(version=1)
+    def largest(*surfaces: toy.S) -> toy.S:
+        """Give the one with the largest sum."""
+        return max(surfaces, key=lambda surface: surface.data.sum())
+
+    graph = toy.toy_graph(depth, larger, largest)
+    for kind in ("height", "cover", "depth"):
+        graph.add(f"toy.{kind}", kind)
+    expected = {"height": toy.Height, "cover": toy.Surface, "depth": toy.Height}
+    for kind in expected:
+        graph.add(larger, f"{kind}_last", first="height", second=kind)
+        graph.add(larger, f"{kind}_first", first=kind, second="height")
+    graph.add(larger, "depths", first="depth", second="depth")
+    graph.add(largest, "heights", surfaces=["depth", "height", "depth"])
+    graph.add(largest, "all", surfaces=["depth", "height", "cover"])
+    types = {step.id: step.types[0] for step in graph.network().steps}
+    assert {kind: types[f"{kind}_last"] for kind in expected} == expected
+    assert {kind: types[f"{kind}_first"] for kind in expected} == expected
+    assert (types["depths"], types["heights"], types["all"]) == (Depth, toy.Height, toy.Surface)
+    graph.add("toy.steepness", "fits", height="depth_last")
+    graph.validate()
+    graph.add("toy.steepness", "wrong", height="cover_last")
+    with pytest.raises(GraphError, match=r"takes a Height, but 'cover_last.out' gives a Surface"):
+        graph.validate()
+
+
+def test_the_nearest_common_type() -> None:
+    class Mixin(toy.Surface):
+        """A base that is no port type."""
+
+    @port_type
+    class Left(toy.Height, Mixin):
+        """One of two bases."""
+
+    @port_type
+    class Right(toy.Cover, Mixin):
+        """Another."""
+
+    assert nearest_common(Left, Right, toy.Surface) is toy.Surface
+    assert nearest_common(Left, toy.Height, toy.Surface) is toy.Height
+    assert nearest_common(int, float, float) is nearest_common(float, int, float) is float
+    assert nearest_common(int, int, float) is int
+    assert nearest_common(bool, bool, bool) is bool
 
 
 def test_a_generic_output_without_an_input_has_its_bound() -> None:
