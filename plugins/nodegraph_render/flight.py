@@ -9,25 +9,16 @@ from typing import Annotated
 import numpy as np
 
 from nodegraph import Context, Forecast, Param, node, port_type, whole
-from nodegraph_render.path import CameraPath, Length
-from nodegraph_render.picture import (
-    Exposure,
-    SkyRays,
-    Style,
-    Tones,
-    Visibility,
-    band_bytes,
-    render_picture,
-    within,
-)
+from nodegraph_render.camera_path import CameraPath, Length
+from nodegraph_render.picture import band_bytes, render_picture, within
 from nodegraph_render.rays import Doubles
 from nodegraph_render.sampling import bilinear
-from nodegraph_render.shade import Metering
+from nodegraph_render.shade import Exposure, Metering, SkyRays, Style, Tones, Visibility
 from nodegraph_render.sun import Sun
 from nodegraph_render.surface import Surface
-from nodegraph_render.tone import Curve
-from nodegraph_render.trace import Edges, Floor, Height, Looked, Range, Share, Supersampling, Width
+from nodegraph_render.trace import Floor, Height, Looked, Range, Share, Supersampling, Width
 from nodegraph_render.tracers import Settings, Tracer, surface_tracer
+from nodegraph_render.twin import same_on_device
 from nodegraph_terrain.raster import Image
 
 FRAMES_MAX = 100_000
@@ -108,35 +99,8 @@ def flight(
     return _film(work, frame_rate, duration)
 
 
-@flight.opencl(rtol=0, atol=2)
-def _twin(
-    path: CameraPath,
-    sun: Sun | None = None,
-    *surfaces: Surface,
-    width: int,
-    height: int,
-    frame_rate: float,
-    duration: float | None,
-    supersampling: int,
-    visibility: float,
-    exposure: float,
-    metering: Metering,
-    curve: Curve,
-    sky_rays: int,
-    epsilon: float,
-    share: float,
-    extent: Edges | None,
-    view_range: float | None,
-    context: Context,
-) -> Film:
-    from nodegraph.opencl import to_host
-
-    settings = Settings("accelerated", epsilon, share, extent, view_range, height * supersampling)
-    style = Style(visibility, exposure, metering, curve, sky_rays)
-    on_host = tuple([to_host(surface) for surface in surfaces])
-    work = _Work(to_host(path), sun or Sun(), on_host, (height, width), supersampling, settings, style, context)
-    # The frames stay on the host, which writes them: a film is too large for a device.
-    return _film(work, frame_rate, duration)
+# The frames stay on the host, which writes them: a film is too large for a device.
+same_on_device(flight, rtol=0, atol=2, back=False)
 
 
 @flight.forecast

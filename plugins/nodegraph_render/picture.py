@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from nodegraph import Context, Forecast, Param, node, whole
+from nodegraph import Context, Forecast, node, whole
 from nodegraph_render.camera import Camera
-from nodegraph_render.shade import Metering, extent_of, light_heights, lit_picture
+from nodegraph_render.shade import (
+    Exposure,
+    Meters,
+    SkyRays,
+    Style,
+    Tones,
+    Visibility,
+    exposed,
+    extent_of,
+    light_heights,
+    lit_picture,
+)
 from nodegraph_render.sun import Sun
 from nodegraph_render.surface import Surface
-from nodegraph_render.tone import BALANCE, Curve, automatic, encoded, metered, toned
+from nodegraph_render.tone import BALANCE, encoded, toned
 from nodegraph_render.trace import (
-    Edges,
     Floor,
     Height,
     Looked,
@@ -27,10 +37,8 @@ from nodegraph_render.trace import (
     traced,
 )
 from nodegraph_render.tracers import Settings, Tracer, nearest, surface_tracer
+from nodegraph_render.twin import same_on_device
 from nodegraph_terrain.raster import Image
-
-if TYPE_CHECKING:
-    from nodegraph.opencl import Device
 
 BAND = 1 << 22
 """Samples that are traced and shaded at a time, about."""
@@ -40,22 +48,6 @@ HALO = 4
 """Rows of pixels beyond a band that its light and shade depend on; rays are spread over blocks of as many."""
 METERED = 1 << 16
 """Samples of the small picture by which one of several bands is exposed."""
-
-Visibility = Annotated[float, Param("How far one sees through the air at sea level.", ge=1, le=280, unit="km")]
-Exposure = Annotated[float, Param("Stops brighter than the automatic exposure.", ge=-20, le=20)]
-Meters = Annotated[Metering, Param("Automatic exposure from what the picture shows, or from the sun alone.")]
-Tones = Annotated[Curve, Param("How light beyond white is kept: as film does, gently, or not at all.")]
-SkyRays = Annotated[int, Param("Rays into the sky from each pixel; 0: none stands in its way.", ge=0, le=256)]
-
-
-class Style(NamedTuple):
-    """How a picture is lit and developed; see `nodegraph_render.shade.shade`."""
-
-    visibility: float = 80.0
-    exposure: float = 0.0
-    metering: Metering = "picture"
-    curve: Curve = "filmic"
-    sky_rays: int = 8
 
 
 @node(version=1, locality=whole)
@@ -98,40 +90,12 @@ def picture(
     Raises:
         ValueError: the camera is under the ground, there is no surface, or no terrain lies in the extent.
     """
-    settings, style = (
-        Settings("accelerated", epsilon, share, extent, view_range, height * supersampling),
-        Style(visibility, exposure, metering, curve, sky_rays),
-    )
+    settings = Settings("accelerated", epsilon, share, extent, view_range, height * supersampling)
+    style = Style(visibility, exposure, metering, curve, sky_rays)
     return render_picture(camera, sun or Sun(), surfaces, (height, width), supersampling, settings, style, context)
 
 
-@picture.opencl(rtol=0, atol=2)
-def _twin(
-    camera: Camera,
-    sun: Sun | None = None,
-    *surfaces: Surface,
-    width: int,
-    height: int,
-    supersampling: int,
-    visibility: float,
-    exposure: float,
-    metering: Metering,
-    curve: Curve,
-    sky_rays: int,
-    epsilon: float,
-    share: float,
-    extent: Edges | None,
-    view_range: float | None,
-    context: Context,
-) -> Image:
-    from nodegraph.opencl import to_device, to_host
-
-    settings = Settings("accelerated", epsilon, share, extent, view_range, height * supersampling)
-    style = Style(visibility, exposure, metering, curve, sky_rays)
-    on_host = tuple([to_host(surface) for surface in surfaces])
-    found = render_picture(camera, sun or Sun(), on_host, (height, width), supersampling, settings, style, context)
-    assert context.device is not None
-    return to_device(found, context.device)
+same_on_device(picture, rtol=0, atol=2)
 
 
 @picture.forecast
@@ -166,13 +130,12 @@ def render_picture(
     """
     if not surfaces:
         raise ValueError("there is nothing to look at; link an elevation raster or a construction tree")
-    device = context.device
     tracers = [
-        known or surface_tracer(surface, camera, settings, device, context)
+        known or surface_tracer(surface, camera, settings, context.device, context)
         for surface, known in zip(surfaces, prepared or [None] * len(surfaces), strict=True)
     ]
     check_above_ground(camera, surfaces, nearest(tracers))
-    scene = _Scene(camera, sun, surfaces, tracers, supersampling, settings, style, device)
+    scene = _Scene(camera, sun, surfaces, tracers, supersampling, settings, style)
     rows, cols = size
     step = _band_rows(cols, supersampling)
     stops, heights, begun = None, None, 0.0
@@ -215,7 +178,6 @@ class _Scene(NamedTuple):
     supersampling: int
     settings: Settings
     style: Style
-    device: Device | None
 
 
 def _lit(
@@ -237,13 +199,11 @@ def _lit(
         scene.sun,
         1000 * style.visibility,
         style.sky_rays,
-        scene.device,
         within(context, 0.3, 1.0),
         heights,
     )
     if stops is None:
-        measured = automatic(lit.sky) if style.metering == "sun" else metered(lit.light, lit.land, lit.sky)
-        stops = measured * 2**style.exposure
+        stops = exposed(lit, style.metering) * 2**style.exposure
     return lit.light, stops, heights
 
 

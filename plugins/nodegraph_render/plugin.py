@@ -11,6 +11,7 @@ NODE_MODULES: tuple[str, ...] = (
     "camera",
     "sun",
     "path",
+    "turntable",
     "picture",
     "flight",
     "save_film",
@@ -49,7 +50,7 @@ def nodegraph_conversions() -> Sequence[Node[..., Any]]:
 @hookimpl
 def nodegraph_previews() -> Sequence[Preview]:
     """List how traces, meshes and differences are drawn."""
-    from nodegraph_render.compare import Differences, preview_differences
+    from nodegraph_render.differences import Differences, preview_differences
     from nodegraph_render.mesh import Mesh
     from nodegraph_render.mesh_preview import preview_mesh
     from nodegraph_render.trace import Trace

@@ -171,10 +171,11 @@ def _follow(field: HeightField, path: _Paths) -> _Found:
     index: Array = np.arange(len(path.x))
     column: Array = np.minimum(path.x.astype(np.int64), cols - 1)
     row: Array = np.minimum(path.y.astype(np.int64), rows - 1)
-    # In a block wider than the stretch in which the ray passes through all heights there is seldom nothing to look at.
+    # In a block twice as wide as the stretch in which the ray passes through all heights there is seldom nothing to
+    # look at.
     sink = np.where(path.dz < 0, path.z - field.bottom, field.top - path.z) / np.abs(path.dz)
     stretch = sink * np.maximum(np.abs(path.dx), np.abs(path.dy))
-    widest: Array = (stretch[:, None] >= 1 << SHIFT * np.arange(1, coarsest + 1)).sum(axis=1)
+    widest: Array = (2 * stretch[:, None] >= 1 << SHIFT * np.arange(1, coarsest + 1)).sum(axis=1)
     # A ray that begins inside the box may begin near the ground.
     level: Array = np.where(path.start > 0, widest, np.minimum(widest, 1))
     t: Array = np.zeros(len(index))
@@ -219,6 +220,14 @@ def _follow(field: HeightField, path: _Paths) -> _Found:
         t = np.where(skip, leave, t)
         column, row = np.where(skip, next_x, column), np.where(skip, next_y, row)
         axis = np.where(skip, np.where(across, X_AXIS, Y_AXIS), axis)
+        # A block that is looked into is looked into from where the ray comes down to its top.
+        under = (highest - path.z) / path.dz
+        lower = ~done & ~skip & (path.dz < 0) & (under > t)
+        t = np.where(lower, np.minimum(under, leave), t)
+        inner_x = np.clip((path.x + t * path.dx).astype(np.int64), low_x, np.minimum(low_x + size, cols) - 1)
+        inner_y = np.clip((path.y + t * path.dy).astype(np.int64), low_y, np.minimum(low_y + size, rows) - 1)
+        column, row = np.where(lower, inner_x, column), np.where(lower, inner_y, row)
+        axis = np.where(lower, 0, axis)
         rises &= level < np.where(highest > -np.inf, widest, coarsest)
         level = np.where(skip, level + rises, level - 1)
         if done.any():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,16 +20,35 @@ from nodegraph_render.surface import Surface
 from nodegraph_render.tone import BALANCE, Curve, automatic, encoded, metered, toned
 from nodegraph_render.trace import Trace
 from nodegraph_render.tracers import Tracer, nearest, surface_tracer
+from nodegraph_render.twin import same_on_device
 from nodegraph_render.visibility import sky_shares, sun_shares
 from nodegraph_terrain.raster import Extent, Image
-
-if TYPE_CHECKING:
-    from nodegraph.opencl import Device
 
 Metering = Literal["picture", "sun"]
 
 BRIGHTEST = 30.0
 """Exposed light beyond which a sample counts no more in the mean of its pixel; 1 is white."""
+
+
+Visibility = Annotated[
+    float, Param("How far one sees through the air at sea level; haze hides what is farther.", ge=1, le=280, unit="km")
+]
+Exposure = Annotated[float, Param("Stops brighter than the automatic exposure.", ge=-20, le=20)]
+Meters = Annotated[
+    Metering, Param("Automatic exposure from what the picture shows, or from the sun alone: the same in each frame.")
+]
+Tones = Annotated[Curve, Param("How light beyond white is kept: as film does, gently, or not at all.")]
+SkyRays = Annotated[int, Param("Rays into the sky from each pixel; 0: none stands in its way.", ge=0, le=256)]
+
+
+class Style(NamedTuple):
+    """How a picture is lit and developed; see `shade`."""
+
+    visibility: float = 80.0
+    exposure: float = 0.0
+    metering: Metering = "picture"
+    curve: Curve = "filmic"
+    sky_rays: int = 8
 
 
 class Lit(NamedTuple):
@@ -52,17 +71,11 @@ def shade(
     trace: Trace,
     sun: Sun | None = None,
     *,
-    visibility: Annotated[
-        float,
-        Param("How far one sees through the air at sea level; haze hides what is farther.", ge=1, le=280, unit="km"),
-    ] = 80.0,
-    exposure: Annotated[float, Param("Stops brighter than the automatic exposure.", ge=-20, le=20)] = 0.0,
-    metering: Annotated[
-        Metering,
-        Param("Automatic exposure from what the picture shows, or from the sun alone: the same in each frame."),
-    ] = "picture",
-    curve: Annotated[Curve, Param("How light beyond white is kept: as film does, gently, or not at all.")] = "filmic",
-    sky_rays: Annotated[int, Param("Rays into the sky from each pixel; 0: none stands in its way.", ge=0, le=256)] = 8,
+    visibility: Visibility = 80.0,
+    exposure: Exposure = 0.0,
+    metering: Meters = "picture",
+    curve: Tones = "filmic",
+    sky_rays: SkyRays = 8,
     context: Context,
 ) -> Image:
     """Light a traced picture: sun with soft shadows, sky, haze and water.
@@ -104,27 +117,22 @@ def shade(
         R. Ramamoorthi, P. Hanrahan (2001): An efficient representation for irradiance environment maps. SIGGRAPH.
         doi:10.1145/383259.383317.
     """
-    return _shade(trace, sun or Sun(), visibility, exposure, metering, curve, sky_rays, None, context)
+    tracers = [
+        surface_tracer(surface, trace.camera, trace.settings, context.device, context) for surface in trace.surfaces
+    ]
+    lit = lit_picture(trace, tracers, sun or Sun(), 1000 * visibility, sky_rays, context)
+    stops = exposed(lit, metering) * 2**exposure
+    developed = lit.light * (stops * BALANCE).astype(np.float32)
+    high, wide = lit.light.shape[:2]
+    return Image(encoded(toned(developed, curve)), extent_of(trace.camera, trace.surfaces, high, wide))
 
 
-@shade.opencl(rtol=0, atol=2)
-def _twin(
-    trace: Trace,
-    sun: Sun | None = None,
-    *,
-    visibility: float,
-    exposure: float,
-    metering: Metering,
-    curve: Curve,
-    sky_rays: int,
-    context: Context,
-) -> Image:
-    from nodegraph.opencl import to_device, to_host
+def exposed(lit: Lit, metering: Metering) -> float:
+    """Return the automatic exposure of a picture."""
+    return automatic(lit.sky) if metering == "sun" else metered(lit.light, lit.land, lit.sky)
 
-    device = context.device
-    assert device is not None
-    picture = _shade(to_host(trace), sun or Sun(), visibility, exposure, metering, curve, sky_rays, device, context)
-    return to_device(picture, device)
+
+same_on_device(shade, rtol=0, atol=2)
 
 
 @shade.forecast
@@ -133,32 +141,12 @@ def _forecast(trace: Forecast, *_: Forecast | None, **__: object) -> Forecast:
     return Forecast(trace.bytes // 7, trace.bytes, trace.about)
 
 
-def _shade(
-    trace: Trace,
-    sun: Sun,
-    visibility: float,
-    exposure: float,
-    metering: Metering,
-    curve: Curve,
-    sky_rays: int,
-    device: Device | None,
-    context: Context,
-) -> Image:
-    tracers = [surface_tracer(surface, trace.camera, trace.settings, device, context) for surface in trace.surfaces]
-    lit = lit_picture(trace, tracers, sun, 1000 * visibility, sky_rays, device, context)
-    stops = automatic(lit.sky) if metering == "sun" else metered(lit.light, lit.land, lit.sky)
-    developed = lit.light * (stops * 2**exposure * BALANCE).astype(np.float32)
-    high, wide = lit.light.shape[:2]
-    return Image(encoded(toned(developed, curve)), extent_of(trace.camera, trace.surfaces, high, wide))
-
-
 def lit_picture(
     trace: Trace,
     tracers: list[Tracer],
     sun: Sun,
     visibility: float,
     sky_rays: int,
-    device: Device | None,
     context: Context,
     heights: tuple[float, float] | None = None,
 ) -> Lit:
@@ -170,8 +158,7 @@ def lit_picture(
         sun: where light comes from.
         visibility: m.
         sky_rays: rays into the sky from each pixel.
-        device: where to compute; None: NumPy.
-        context: for progress and cancelling.
+        context: for progress and cancelling, and for the device to compute on, or None.
         heights: at which the sky is taken, if not those of this trace; see `light_heights`.
 
     Raises:
@@ -189,6 +176,7 @@ def lit_picture(
     sunny = sun_shares(trace, scene, context)
     open_ = sky_shares(trace, scene, sky_rays, context)
     frame = pixels.Frame(trace, scene, seen, sunny, open_, BRIGHTEST / automatic(light))
+    device = context.device
     picture = pixels.on_host(frame, context) if device is None else pixels.on_device(frame, device, context)
     (high, wide), k = trace.depth.shape, trace.supersampling
     land = trace.hit.reshape(high // k, k, wide // k, k).mean(axis=(1, 3), dtype=np.float32)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,7 @@ from nodegraph_render.camera import Camera
 from nodegraph_render.rays import SKY, Rays
 from nodegraph_render.surface import Surface
 from nodegraph_render.tracers import Method, Settings, Tracer, scene_tracer
-
-if TYPE_CHECKING:
-    from nodegraph.opencl import Device
+from nodegraph_render.twin import same_on_device
 
 Edges = tuple[float, float, float, float]
 
@@ -120,47 +118,17 @@ def sphere_trace(
     Source: Génevaux et al. 2015, section 7, doi:10.1111/cgf.12530, with the corrections in `tree_tracer`.
     """
     settings = Settings(method, epsilon, share, extent, view_range, height * supersampling)
-    return _trace(camera, surfaces, (height, width), supersampling, settings, context.device, context)
+    tracer = scene_tracer(surfaces, camera, settings, context.device, context)
+    check_above_ground(camera, surfaces, tracer)
+    return traced(camera, surfaces, (height, width), supersampling, settings, tracer, context)
 
 
-@sphere_trace.opencl(rtol=2e-3, atol=0.05)
-def _twin(
-    camera: Camera,
-    *surfaces: Surface,
-    width: int,
-    height: int,
-    supersampling: int,
-    method: Method,
-    epsilon: float,
-    share: float,
-    extent: Edges | None,
-    view_range: float | None,
-    context: Context,
-) -> Trace:
-    from nodegraph.opencl import to_host
-
-    settings = Settings(method, epsilon, share, extent, view_range, height * supersampling)
-    on_host = tuple([to_host(surface) for surface in surfaces])
-    return _trace(camera, on_host, (height, width), supersampling, settings, context.device, context)
+same_on_device(sphere_trace, rtol=2e-3, atol=0.05, back=False)
 
 
 @sphere_trace.forecast
 def _forecast(*_: Forecast, width: int, height: int, supersampling: int, **__: object) -> Forecast:
     return Forecast(BYTES * width * height * supersampling**2, 200 * BAND)
-
-
-def _trace(
-    camera: Camera,
-    surfaces: tuple[Surface, ...],
-    size: tuple[int, int],
-    supersampling: int,
-    settings: Settings,
-    device: Device | None,
-    context: Context,
-) -> Trace:
-    tracer = scene_tracer(surfaces, camera, settings, device, context)
-    check_above_ground(camera, surfaces, tracer)
-    return traced(camera, surfaces, size, supersampling, settings, tracer, context)
 
 
 def traced(

@@ -24,8 +24,9 @@ the ground came nearer on the last step.
 goes on by (T - alpha) / (|u_xy| lambda_alpha), and inside by no more than (alpha - T) / (|u_xy| lambda_alpha), unless
 the whole box is terrain, but by epsilon(t) at least: neither gaps nor walls wider than that are stepped over.
 
-A point counts as hit when h < epsilon(t) = floor + share t.  Crossing from box to box, rays go epsilon / 8 further than
-needed, so that rounding cannot hold them at a border.
+A point counts as hit when h < epsilon(t) = floor + share t.  So that rounding cannot hold them, rays go epsilon / 8
+further than needed where they cross from box to box, and epsilon / 1000 at least everywhere: a blade of ground may be
+passed that is thinner than that.
 
 Sources: Hart, Sphere tracing, The Visual Computer 12 (1996), doi:10.1007/s003710050084; Génevaux et al., section 7,
 doi:10.1111/cgf.12530.
@@ -75,6 +76,10 @@ class Epsilon(NamedTuple):
     def beyond(self, depth: Doubles) -> Doubles:
         """Return how much further rays go where they cross a border."""
         return 0.125 * self.at(depth) + 4e-7 * depth
+
+    def creep(self, depth: Doubles) -> Doubles:
+        """Return how far rays go at least, however steep the ground may be."""
+        return 1e-3 * self.at(depth) + 4e-7 * depth
 
 
 EPSILON = Epsilon()
@@ -323,7 +328,7 @@ class _Walk:
         fall[self.outside[where] | ~full | np.isinf(self.fall[where])] = FAST
         self.fall[where], self.outside[where] = fall, ~full
         point, least = self._at(where), self.epsilon.beyond(self.t[where])
-        best, nodes, rays = least.copy(), np.zeros(len(where), int), np.arange(len(where))
+        best, nodes, rays = self.epsilon.creep(self.t[where]), np.zeros(len(where), int), np.arange(len(where))
         bold, slope = np.zeros(len(where)), np.full(len(where), -1.0)
         wide = self.epsilon.at(self.t[where])
         for _ in range(self.levels):

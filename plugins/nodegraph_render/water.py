@@ -7,6 +7,8 @@ References:
     doi:10.1364/AO.36.008710.
     H. H. Poole, W. R. G. Atkins (1929): Photo-electric measurements of submarine illumination throughout the year.
     J. Mar. Biol. Assoc. 16(1). doi:10.1017/S0025315400029829: attenuation is 1.7 over the Secchi depth.
+    W. J. Pierson, L. Moskowitz (1964): A proposed spectral form for fully developed wind seas. J. Geophys. Res. 69(24).
+    doi:10.1029/JZ069i024p05181: the spectrum's peak is at 0.877 g / wind.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ INDEX = 1.333
 ABSORPTION = np.array([0.267, 0.0545, 0.0101])
 """Of pure water at 612, 549 and 465 nm, 1/m."""
 
-LONGEST, RIPPLES = 8.0, 5
-"""Length of the largest ripples, m, and how many octaves there are."""
+SHORTEST, LONGEST, RIPPLES = 0.1, 8.0, 5
+"""Length of the largest ripples, m, at least and at most (a lake has no room for more), and their octaves."""
 
 CALM = 1e-5
 """Variance of slopes that stands for the width of the sun's disc."""
@@ -65,7 +67,8 @@ def attenuation(material: Water) -> npt.NDArray[np.float64]:
 def ripples(material: Water, spots: Spots, direction: Reals) -> tuple[Reals, Reals]:
     """Return the normals of ruffled water as far as a footprint shows them, and the variance of slopes that it hides.
 
-    The variance of slopes, both ways together, is 0.003 + 0.00512 wind (Cox and Munk).  Of slopes within a footprint,
+    The variance of slopes, both ways together, is 0.003 + 0.00512 wind (Cox and Munk), the largest ripples as long as
+    the waves of a developed sea, 0.83 wind^2 metres (Pierson and Moskowitz).  Of slopes within a footprint,
     those that face the viewer are seen more: with s their standard deviation along the view and t the angle of the view
     to the vertical, their mean is s^2 sin t / (cos t + 0.8 s sin t), exact at both ends.
     """
@@ -73,8 +76,11 @@ def ripples(material: Water, spots: Spots, direction: Reals) -> tuple[Reals, Rea
     if material.wind == 0:
         return up, np.full(len(up), CALM)
     total = 0.003 + 0.00512 * material.wind
-    noise = Noise("fbm", RIPPLES, LONGEST, seed=material.seed)
-    share = np.clip(np.log2(LONGEST / (2 * np.maximum(spots.footprint, 1e-3))) / RIPPLES, 0, 1)
+    longest = min(max(0.83 * material.wind**2, SHORTEST), LONGEST)
+    noise = Noise("fbm", RIPPLES, longest, seed=material.seed)
+    # A pixel covers more water than its width where it is seen from the side.
+    footprint = np.maximum(spots.footprint, 1e-3) / np.sqrt(np.maximum(-direction[:, 2], 0.01))
+    share = np.clip(np.log2(longest / (2 * footprint)) / RIPPLES, 0, 1)
     east, north = np.zeros(len(up)), np.zeros(len(up))
     near = share > 0
     found = noise.sample(spots.position[near, 0], spots.position[near, 1], kappa=share[near])

@@ -2,8 +2,8 @@
 //
 // A noise is a table of words that `Noise.table()` makes: a NoiseSum, then a NoiseOctave for each lattice.  Points are
 // offsets (x, y) in metres from an origin of the caller's choice (the corner of a tile), of which `Noise.origins(x, y)`
-// gives the place on each lattice, in float64: so float32 keeps its digits anywhere.  An offset should span at most some
-// 32 cells of the finest octave; the error is about 2e-7 of the amplitude per cell.
+// gives the place on each lattice, in float64: so float32 keeps its digits anywhere.  An offset spans
+// at most 2^22 cells of the finest octave; the error is about 2e-7 of the amplitude.
 //
 //     __global const NoiseSum *sum = noise_at(words, first);           // words: uint, first: where its table starts
 //     __global const NoiseOrigin *origin = noise_origin(origins, k);   // k = tile * lattices
@@ -39,11 +39,12 @@ typedef struct {
     int unused[4];
 } NoiseSum;
 
-// Amplitude, seed, cells per metre and rotation, the start of its interval of kappa and one over its length.
+// Amplitude, seed, cells per metre and rotation in two parts (see noise_octave), the start of its interval of kappa and one
+// over its length.
 typedef struct {
     float amplitude;
     uint seed;
-    float xx, xy, yx, yy;
+    float cosine, sine, cosine_rest, sine_rest;
     float start, rate;
 } NoiseOctave;
 
@@ -120,8 +121,15 @@ static inline void noise_direction(uint8 column, uint8 row, float8 *east, float8
     *north = as_float8(as_uint8(even + odd) ^ sign);
 }
 
-// Noise in the cell at (column, row), at (x, y) in it, and its derivatives per cell if `slopes`.
-static inline float8 noise_cell(uint8 column, uint8 row, float8 x, float8 y, uint seed, const int slopes,
+// 6 t^5 - 15 t^4 + 10 t^3 at t + 1/2: so no large terms cancel, which near t = 1 would cost three bits.
+static inline float8 noise_fade(float8 t)
+{
+    const float8 square = t * t;
+    return t * ((6.0f * square - 5.0f) * square + 1.875f) + 0.5f;
+}
+
+// Noise in the cell at (column, row), at (u, v) from its centre, and its derivatives per cell if `slopes`.
+static inline float8 noise_cell(uint8 column, uint8 row, float8 u, float8 v, uint seed, const int slopes,
                                 float8 *along_u, float8 *along_v)
 {
     const uint8 scaled = column * 0x9E3779B1u;
@@ -133,11 +141,10 @@ static inline float8 noise_cell(uint8 column, uint8 row, float8 x, float8 y, uin
     noise_direction(far, bottom, &east10, &north10);
     noise_direction(near, top, &east01, &north01);
     noise_direction(far, top, &east11, &north11);
-    const float8 x1 = x - 1.0f, y1 = y - 1.0f;
+    const float8 x = u + 0.5f, y = v + 0.5f, x1 = u - 0.5f, y1 = v - 0.5f;
     const float8 n00 = east00 * x + north00 * y, n10 = east10 * x1 + north10 * y;
     const float8 n01 = east01 * x + north01 * y1, n11 = east11 * x1 + north11 * y1;
-    const float8 sx = x * x * x * ((x * 6.0f - 15.0f) * x + 10.0f);
-    const float8 sy = y * y * y * ((y * 6.0f - 15.0f) * y + 10.0f);
+    const float8 sx = noise_fade(u), sy = noise_fade(v);
     const float8 c = n10 - n00, d = n11 - n01;
     const float8 lower = sx * c + n00, upper = sx * d + n01;
     if (slopes) {
@@ -157,20 +164,54 @@ static inline float8 noise_lattice(int2 base, float8 u, float8 v, uint seed, con
     const float8 left = noise_floor(u), low = noise_floor(v);
     const uint8 column = as_uint8(convert_int8(left)) + (uint)base.x;
     const uint8 row = as_uint8(convert_int8(low)) + (uint)base.y;
-    return noise_cell(column, row, u - left, v - low, seed, slopes, along_u, along_v);
+    return noise_cell(column, row, (u - left) - 0.5f, (v - low) - 0.5f, seed, slopes, along_u, along_v);
 }
 
-// n_i of an octave and, if `slopes`, its derivatives per metre.
-static inline float8 noise_octave(__global const NoiseOctave *octave, __global const NoiseOrigin *origin, float8 x,
-                                  float8 y, const int slopes, float8 *east, float8 *north)
+// An offset in two parts: the first has 12 bits.
+typedef struct {
+    float8 x, y, x_rest, y_rest;
+} NoisePlace;
+
+// The offset (x + dx, y + dy).
+static inline NoisePlace noise_place(float8 x, float8 y, float8 dx, float8 dy)
 {
-    const float xx = octave->xx, xy = octave->xy, yx = octave->yx, yy = octave->yy;
-    const float8 u = xx * x + (xy * y + origin->u), v = yx * x + (yy * y + origin->v);
+    NoisePlace at;
+    at.x = as_float8(as_uint8(x) & 0xFFFFF000u);
+    at.y = as_float8(as_uint8(y) & 0xFFFFF000u);
+    at.x_rest = (x - at.x) + dx;
+    at.y_rest = (y - at.y) + dy;
+    return at;
+}
+
+// Added to a number below 2^22, this rounds it to a whole one, which stands in the last bits of the sum.
+#define NOISE_WHOLE 12582912.0f
+#define NOISE_WHOLE_BITS 0x4B400000u
+
+// n_i of an octave and, if `slopes`, its derivatives per metre.
+//
+// An offset may span hundreds of cells, of which float32 would keep some 1e-5.  The octave's numbers, too, are in two
+// parts: products of first parts are exact, and the nearest whole cells are taken off them before anything is added.  What
+// is left is small, hence true to 1e-7.
+static inline float8 noise_octave(__global const NoiseOctave *octave, __global const NoiseOrigin *origin,
+                                  const NoisePlace at, const int slopes, float8 *east, float8 *north)
+{
+    const float c = octave->cosine, s = octave->sine, c_rest = octave->cosine_rest, s_rest = octave->sine_rest;
+    const float cosine = c + c_rest, sine = s + s_rest;
+    const float8 cx = c * at.x + NOISE_WHOLE, sx = s * at.x + NOISE_WHOLE;
+    const float8 cy = c * at.y + NOISE_WHOLE, sy = NOISE_WHOLE - s * at.y;
+    float8 u = cosine * at.x_rest + (c_rest * at.x + (origin->u - 0.5f)) - (sine * at.y_rest + s_rest * at.y);
+    float8 v = sine * at.x_rest + (s_rest * at.x + (origin->v - 0.5f)) + (cosine * at.y_rest + c_rest * at.y);
+    u += (c * at.x - (cx - NOISE_WHOLE)) - (s * at.y + (sy - NOISE_WHOLE));
+    v += (s * at.x - (sx - NOISE_WHOLE)) + (c * at.y - (cy - NOISE_WHOLE));
+    const float8 left = u + NOISE_WHOLE, low = v + NOISE_WHOLE;
+    const uint8 column = as_uint8(cx) + as_uint8(sy) + as_uint8(left) + ((uint)origin->column - 3u * NOISE_WHOLE_BITS);
+    const uint8 row = as_uint8(sx) + as_uint8(cy) + as_uint8(low) + ((uint)origin->row - 3u * NOISE_WHOLE_BITS);
     float8 along_u, along_v;
-    const float8 n = noise_lattice((int2)(origin->column, origin->row), u, v, octave->seed, slopes, &along_u, &along_v);
+    const float8 n = noise_cell(column, row, u - (left - NOISE_WHOLE), v - (low - NOISE_WHOLE), octave->seed, slopes,
+                                &along_u, &along_v);
     if (slopes) {
-        *east = xx * along_u + yx * along_v;
-        *north = xy * along_u + yy * along_v;
+        *east = cosine * along_u + sine * along_v;
+        *north = cosine * along_v - sine * along_u;
     }
     return n;
 }
@@ -201,7 +242,7 @@ static inline __global const NoiseOctave *noise_octaves(__global const NoiseSum 
         float8 kappa, const int slopes, float8 *east, float8 *north
 
 static inline float8 noise_series(__global const NoiseOctave *octave, __global const NoiseOrigin *origin, int count,
-                                  const int absolute, float8 x, float8 y, const int filtered, float8 kappa,
+                                  const int absolute, const NoisePlace at, const int filtered, float8 kappa,
                                   const int slopes, float8 *east, float8 *north)
 {
     const float detail = filtered ? noise_greatest(kappa) : 1.0f;
@@ -210,7 +251,7 @@ static inline float8 noise_series(__global const NoiseOctave *octave, __global c
         if (filtered && detail <= octave[i].start)
             continue;
         float8 along_x, along_y;
-        float8 n = noise_octave(octave + i, origin + i, x, y, slopes, &along_x, &along_y);
+        float8 n = noise_octave(octave + i, origin + i, at, slopes, &along_x, &along_y);
         float8 factor = octave[i].amplitude;
         if (filtered)
             factor *= noise_filter(octave + i, kappa);
@@ -231,12 +272,14 @@ static inline float8 noise_series(__global const NoiseOctave *octave, __global c
 
 static inline float8 noise_all_fbm(NOISE_ARGUMENTS)
 {
-    return noise_series(noise_octaves(sum), origin, sum->octaves, 0, x, y, filtered, kappa, slopes, east, north);
+    const NoisePlace at = noise_place(x, y, 0.0f, 0.0f);
+    return noise_series(noise_octaves(sum), origin, sum->octaves, 0, at, filtered, kappa, slopes, east, north);
 }
 
 static inline float8 noise_all_billow(NOISE_ARGUMENTS)
 {
-    return noise_series(noise_octaves(sum), origin, sum->octaves, 1, x, y, filtered, kappa, slopes, east, north);
+    const NoisePlace at = noise_place(x, y, 0.0f, 0.0f);
+    return noise_series(noise_octaves(sum), origin, sum->octaves, 1, at, filtered, kappa, slopes, east, north);
 }
 
 static inline float8 noise_multifractal(const int ridged, NOISE_ARGUMENTS)
@@ -247,11 +290,12 @@ static inline float8 noise_multifractal(const int ridged, NOISE_ARGUMENTS)
     const float feedback = ridged ? sum->feedback : sum->feedback * (1.0f + NOISE_OFFSET);
     float8 value = 0.0f, ex = 0.0f, ny = 0.0f, weight = 1.0f, weight_x = 0.0f, weight_y = 0.0f;
     const float detail = filtered ? noise_greatest(kappa) : 1.0f;
+    const NoisePlace at = noise_place(x, y, 0.0f, 0.0f);
     for (int i = 0; i < count; ++i) {
         if (filtered && detail <= octave[i].start)
             continue;
         float8 along_x, along_y, signal, slope;
-        const float8 n = noise_octave(octave + i, origin + i, x, y, slopes, &along_x, &along_y);
+        const float8 n = noise_octave(octave + i, origin + i, at, slopes, &along_x, &along_y);
         if (ridged) {
             const float8 depth = 1.0f - fabs(n);
             signal = depth * depth;
@@ -300,12 +344,13 @@ static inline float8 noise_all_warped(NOISE_ARGUMENTS)
 {
     __global const NoiseOctave *octave = noise_octaves(sum);
     const int count = sum->octaves, warps = sum->warps;
+    const NoisePlace at = noise_place(x, y, 0.0f, 0.0f);
     float8 qx, qy, rx, ry, ex, ny;
-    const float8 q = noise_series(octave + count, origin + count, warps, 0, x, y, filtered, kappa, slopes, &qx, &qy);
-    const float8 r = noise_series(octave + count + warps, origin + count + warps, warps, 0, x, y, filtered, kappa,
+    const float8 q = noise_series(octave + count, origin + count, warps, 0, at, filtered, kappa, slopes, &qx, &qy);
+    const float8 r = noise_series(octave + count + warps, origin + count + warps, warps, 0, at, filtered, kappa,
                                   slopes, &rx, &ry);
-    const float8 value =
-        noise_series(octave, origin, count, 0, x + q, y + r, filtered, kappa, slopes, &ex, &ny);
+    const NoisePlace to = noise_place(x, y, q, r);
+    const float8 value = noise_series(octave, origin, count, 0, to, filtered, kappa, slopes, &ex, &ny);
     if (slopes) {
         *east = ex + ex * qx + ny * rx;
         *north = ny + ex * qy + ny * ry;

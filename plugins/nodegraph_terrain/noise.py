@@ -251,14 +251,16 @@ class Noise:
             low, high = intervals[lattice.octave]
             words[row, 1] = lattice.seed
             floats[row, 0] = lattice.amplitude
-            floats[row, 2:] = lattice.xx, lattice.xy, lattice.yx, lattice.yy, low, 1 / (high - low)
+            numbers = np.array([lattice.xx, lattice.yx])
+            # Of 12 bits, so that the kernel's products with such are exact, and the rest.
+            first = (numbers.astype(np.float32).view(np.uint32) & np.uint32(0xFFFFF000)).view(np.float32)
+            floats[row, 2:] = *first, *(numbers - first), low, 1 / (high - low)
         return words.ravel()
 
     def origins(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Words:
         """Return where points lie on the lattices: a ``NoiseOrigin`` (4 words) for each point and lattice.
 
-        Kernels see offsets in metres from such an origin, in float32.  To keep 1e-5 they should span at most some 32
-        cells of an octave: take the corner or the centre of a tile of that size.
+        Kernels see offsets in metres from such an origin, in float32: take the corner or the centre of a tile.
 
         Args:
             x, y: coordinates of the origins, m, of one shape or numbers.

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from math import inf, isfinite, radians, sqrt, tan
-from typing import TYPE_CHECKING
+from math import hypot, inf, isfinite, radians, sqrt, tan
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from nodegraph import port_type
 from nodegraph_tree.device import FOLDER, Kernel
-from nodegraph_tree.function import ABSENT, Bounds, Box, ElevationFunction, Floats, Points, Sample, product
+from nodegraph_tree.function import ABSENT, THRESHOLD, Bounds, Box, ElevationFunction, Floats, Points, Sample, product
 from nodegraph_tree.presence import presence, presence_gradient, presence_slope, present_slope
 
 if TYPE_CHECKING:
@@ -171,45 +171,80 @@ class ByTerrain(ElevationFunction):
         return value, turned
 
     def bounds(self, box: Box, detail: float = 1.0) -> Bounds:
-        """Bound B, with the weight times what the hats can be for the heights and slopes that A can have in the box.
-
-        |grad h| <= h' c |grad f_A|; |grad s| <= s' |J|, J the matrix of the differences' gradients, two rows of at
-        most sup(c |grad f_A|) / b: |J| <= sqrt(2) sup / b.  Each c adds its own slope.  |D f_A| <= sqrt(2) sup |grad
-        f_A|.
-        """
+        """Bound B, with the weight times what the hats can be for the heights and slopes that A can have in the box."""
         own = self.operand.bounds(box, detail)
-        if own.absent:
-            return ABSENT
-        middle = self.terrain.bounds(box, detail)
-        if middle.absent:
-            return ABSENT
-        least, most, steep = self.altitude.between(middle.low, middle.high)
-        least *= float(presence(np.array(middle.weight_low)))
-        turned = product(steep, present_slope(middle)) + presence_slope(middle)
-        if self.by_slope:
-            around = self.terrain.bounds(box.grown(self.span), detail)
-            # A mean of slopes along the axes, where the whole neighbourhood is terrain; else the heights are a guess.
-            slope = around.slope if around.weight_low >= 0.5 else inf
-            slope = min(sqrt(2) * slope, sqrt(0.5) * max(around.high - around.low, 0.0) / self.span)
-            # Level ground measures a slope of rounding's size, which opens a hat that begins at 0 by as little.
-            slope += 64 * EPSILON * (1 + max(abs(around.low), abs(around.high))) / self.span
-            low, high, steep = self.steepness.between(0.0, slope)
-            least *= low * float(presence(np.array(around.weight_low))) ** 4
-            most *= high
-            turned += product(steep, sqrt(2) * present_slope(around) / self.span) + 4 * presence_slope(around)
-        if most <= 0:
+        factor = _NOTHING if own.absent else self._factor_bounds(box, detail)
+        if factor.most <= 0:
             return ABSENT
         return own._replace(
-            weight_low=own.weight_low * least,
-            weight_high=own.weight_high * most,
-            weight_slope=most * own.weight_slope + product(own.weight_high, turned),
-            flux=own.flux * most,
+            weight_low=own.weight_low * factor.least,
+            weight_high=own.weight_high * factor.most,
+            weight_slope=factor.most * own.weight_slope + product(own.weight_high, factor.slope),
+            flux=own.flux * factor.most,
         )
+
+    def _factor_bounds(self, box: Box, detail: float, *, closely: bool = True) -> _Factor:
+        """Bound what the weight of B is multiplied by; with `closely` A is asked where it counts, else once around.
+
+        |grad h| <= h' c |grad f_A|; |grad s| <= s' |J|, J the matrix of the differences' gradients.  Each c adds its
+        own slope.
+        """
+        middle = self.terrain.bounds(box, detail)
+        if middle.absent:
+            return _NOTHING
+        least, most, steep = self.altitude.between(middle.low, middle.high)
+        found = _Factor(least, most, product(steep, present_slope(middle))).where(_presence_bounds(middle))
+        if not self.by_slope or found.most <= 0:
+            return found
+        slopes = self._slopes_around(box, detail)
+        # One question has the answer where the hat is level, and boxes wider than the span overlap too much to differ.
+        if closely and slopes.factor(self.steepness).slope > 0 and max(_sides(box)) <= 4 * self.span:
+            slopes = slopes.met(self._slopes_beside(box, detail))
+        return found.times(slopes.factor(self.steepness).where(slopes.presence))
+
+    def _slopes_around(self, box: Box, detail: float) -> _Slopes:
+        """Bound D f_A by the bounds of A in the box and all around.
+
+        |D f_A| <= sqrt(2) sup |grad f_A|, a mean of slopes along the axes, and the two rows of J have at most
+        sup(c |grad f_A|) / b each.
+        """
+        wide = self.terrain.bounds(box.grown(self.span), detail)
+        # Where not all around is terrain, the heights are a guess.
+        high = sqrt(2) * (wide.slope if wide.weight_low >= THRESHOLD else inf)
+        high = min(high, sqrt(0.5) * max(wide.high - wide.low, 0.0) / self.span)
+        presence = _presence_bounds(wide)
+        every = presence.times(presence).times(presence.times(presence))
+        return _Slopes(0.0, high + self._rounding(wide), sqrt(2) * present_slope(wide) / self.span, every)
+
+    def _slopes_beside(self, box: Box, detail: float) -> _Slopes:
+        """Bound D f_A by the bounds of A in the four boxes that its points are from: in small ones far tighter."""
+        presence, found = _Factor(1.0, 1.0, 0.0), []
+        for x, y in _AROUND:
+            dx, dy = self.span * x, self.span * y
+            beside = self.terrain.bounds(Box(box.west + dx, box.south + dy, box.east + dx, box.north + dy), detail)
+            if beside.absent:
+                return _Slopes(0.0, 0.0, 0.0, _NOTHING)
+            presence = presence.times(_presence_bounds(beside))
+            found.append(beside)
+        nearest, farthest, rows = [], [], []
+        for ahead, behind in (found[:2], found[2:]):
+            low, high = ahead.low - behind.high, ahead.high - behind.low
+            nearest.append(max(low, -high, 0.0))
+            farthest.append(max(high, -low))
+            rows.append(present_slope(ahead) + present_slope(behind))
+        per = 0.5 / self.span
+        rounding = max(map(self._rounding, found))
+        low, high = hypot(*nearest) * per - rounding, hypot(*farthest) * per + rounding
+        return _Slopes(max(low, 0.0), high, hypot(*rows) * per, presence)
+
+    def _rounding(self, bounds: Bounds) -> float:
+        """Return what rounding does to D f_A: level ground measures that much, and it opens a hat that begins at 0."""
+        return 64 * EPSILON * (1 + max(abs(bounds.low), abs(bounds.high))) / self.span
 
     def emit(self, emitter: Emitter, frame: Frame) -> None:
         """B, A once or at five points around, and the factor; nothing where the hats are 0 in the tile."""
         detail = emitter.detail
-        if isinstance(detail, (int, float)) and self.bounds(frame.box, detail).absent:
+        if isinstance(detail, (int, float)) and self._closed(frame.box, detail):
             emitter.nothing()
             return
         self.operand.emit(emitter, frame)
@@ -223,6 +258,60 @@ class ByTerrain(ElevationFunction):
             self.terrain.emit(emitter, frame.carried(one, (self.span * x, self.span * y)))
             emitter.leave(_LEAVE, [1.0, 0.0])
         emitter.add(_TERRAIN, [*self.altitude.numbers, *self.steepness.numbers, 0.5 / self.span], pushes=-5)
+
+    def _closed(self, box: Box, detail: float) -> bool:
+        """Say whether there is nothing in a box, without asking much."""
+        return self._factor_bounds(box, detail, closely=False).most <= 0 or self.operand.bounds(box, detail).absent
+
+
+class _Factor(NamedTuple):
+    """What a factor of a weight can be in a box: `least`, `most`, and the greatest `slope`."""
+
+    least: float
+    most: float
+    slope: float
+
+    def times(self, other: _Factor) -> _Factor:
+        """Bound the product of two."""
+        slope = product(self.slope, other.most) + product(other.slope, self.most)
+        return _Factor(self.least * other.least, self.most * other.most, slope)
+
+    def where(self, presence: _Factor) -> _Factor:
+        """Bound the product with a presence c that the slope, a bound of c |grad|, already counts."""
+        slope = self.slope + product(presence.slope, self.most)
+        return _Factor(self.least * presence.least, self.most * presence.most, slope)
+
+
+_NOTHING = _Factor(0.0, 0.0, 0.0)
+
+
+class _Slopes(NamedTuple):
+    """What D f_A can be in a box: |D f_A| from `low` to `high`, c |J| up to `turn`, and c, the `presence` of A."""
+
+    low: float
+    high: float
+    turn: float
+    presence: _Factor
+
+    def met(self, other: _Slopes) -> _Slopes:
+        """Return what holds where both do."""
+        low, high = max(self.low, other.low), min(self.high, other.high)
+        presence = other.presence if other.presence.slope <= self.presence.slope else self.presence
+        return _Slopes(min(low, high), high, min(self.turn, other.turn), presence)
+
+    def factor(self, hat: Hat) -> _Factor:
+        """Bound a hat of |D f_A|, and c times its slope."""
+        least, most, steep = hat.between(self.low, self.high)
+        return _Factor(least, most, product(steep, self.turn))
+
+
+def _presence_bounds(bounds: Bounds) -> _Factor:
+    least, most = presence(np.array([bounds.weight_low, bounds.weight_high])).tolist()
+    return _Factor(least, most, presence_slope(bounds))
+
+
+def _sides(box: Box) -> tuple[float, float]:
+    return box.east - box.west, box.north - box.south
 
 
 def _presence_of(sample: Sample) -> tuple[Floats, Floats | None]:

@@ -507,8 +507,10 @@ class Curve(ElevationFunction):
         x, y, tx, ty, k, half, beyond, length, soft, fold = (item[arcs] for item in bone.frames)
         place = bone.place[arcs].mean(axis=1)
         cubic = bone.cubics[arcs].T
-        shape = (x - frame.ox, y - frame.oy, tx, ty, k, half, beyond, length, soft, fold)
-        table = np.stack([*shape, *cubic, place, bone.place_slopes[arcs]], axis=1)
+        x, y = x - frame.ox, y - frame.oy
+        lost = [value - value.astype(np.float32) for value in (x, y)]
+        shape = (x, y, tx, ty, k, half, beyond, length, soft, fold)
+        table = np.stack([*shape, *cubic, place, bone.place_slopes[arcs], *lost], axis=1)
         floats = [*bone.lifts, 2 * radius, *table.ravel().tolist()]
         chosen = range(first, final + 1)
         left, right = (max(len(getattr(self.sections[j], side)) for j in chosen) for side in ("left", "right"))

@@ -80,8 +80,10 @@ class Shared:
         return self.places[id(values)]
 
     def buffer(self) -> npt.NDArray[np.float32]:
-        """Return all arrays as one."""
-        return np.concatenate(self.arrays) if self.arrays else np.zeros(1, np.float32)
+        """Return all arrays as one; one alone is not copied."""
+        if len(self.arrays) == 1 and self.size:
+            return self.arrays[0]
+        return np.concatenate([*self.arrays, np.zeros(1, np.float32)])  # buffers must not be empty
 
 
 class Parameters(NamedTuple):

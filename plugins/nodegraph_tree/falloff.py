@@ -38,9 +38,9 @@ def fall_off(kind: FallOff, t: Floats) -> Floats:
     if kind == "wyvill":
         return (1 - t * t) ** 3
     if kind == "cubic":
-        return 1 - t * t * (3 - 2 * t)
+        return (1 - t) ** 2 * (1 + 2 * t)
     if kind == "quintic":
-        return 1 - t**3 * (10 - t * (15 - 6 * t))
+        return (1 - t) ** 3 * (1 + t * (3 + 6 * t))
     return fall_off("cubic", 2 * t - 1)
 
 

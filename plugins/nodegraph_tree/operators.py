@@ -6,10 +6,12 @@ from math import radians
 from typing import Annotated
 
 from nodegraph import Param, node
+from nodegraph_tree import bend as bending
 from nodegraph_tree import blend as blending
 from nodegraph_tree import by_terrain as terrain_weights
+from nodegraph_tree import distort as distorting
 from nodegraph_tree import replace as replacing
-from nodegraph_tree import warp as warping
+from nodegraph_tree import twist as twisting
 from nodegraph_tree.add import add as added
 from nodegraph_tree.affine import placed
 from nodegraph_tree.basic import Constant, Plane
@@ -315,7 +317,7 @@ def warp(
     Source: Génevaux et al. 2015, section 5.4 and figure 14, doi:10.1111/cgf.12530.
     """
     return _checked(
-        warping.distort(function, amplitude=amplitude, wavelength=wavelength, octaves=octaves, gain=gain, seed=seed)
+        distorting.distort(function, amplitude=amplitude, wavelength=wavelength, octaves=octaves, gain=gain, seed=seed)
     )
 
 
@@ -342,7 +344,7 @@ def twist(
 
     Source: Génevaux et al. 2015, section 5.4, doi:10.1111/cgf.12530.
     """
-    return _checked(warping.twist(function, centre=centre, radius=radius, angle=radians(angle)))
+    return _checked(twisting.twist(function, centre=centre, radius=radius, angle=radians(angle)))
 
 
 @node(version=1)
@@ -374,7 +376,7 @@ def bend(
 
     Source: Génevaux et al. 2015, section 5.4, doi:10.1111/cgf.12530.
     """
-    return _checked(warping.bend(function, start=start, end=end, offsets=offsets, reach=reach))
+    return _checked(bending.bend(function, start=start, end=end, offsets=offsets, reach=reach))
 
 
 @node(version=1)

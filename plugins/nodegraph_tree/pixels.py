@@ -105,8 +105,8 @@ class Pixels:
         """
         c, r = np.clip(c, -0.5, self.cols - 0.5), np.clip(r, -0.5, self.rows - 0.5)
         left, top = np.floor(c), np.floor(r)
-        wx, dx = _basis(self.kind, c - left)
-        wy, dy = _basis(self.kind, r - top)
+        wx, dx = basis(self.kind, c - left)
+        wy, dy = basis(self.kind, r - top)
         taps = len(wx)
         first = 1 - taps // 2
         column, row = left.astype(np.int64) + (PAD + first), top.astype(np.int64) + (PAD + first)
@@ -166,7 +166,7 @@ class Pixels:
         return found
 
 
-def _basis(kind: Kind, t: Floats) -> tuple[list[Floats], list[Floats]]:
+def basis(kind: Kind, t: Floats) -> tuple[list[Floats], list[Floats]]:
     """Return the weights of the 2 or 4 cells around a place t in [0, 1] between two centres, and their derivatives."""
     if kind == "bilinear":
         scaled = (t - LEVEL) / (1 - 2 * LEVEL)

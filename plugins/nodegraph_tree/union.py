@@ -168,8 +168,8 @@ class Union(ElevationFunction):
             """Bound |grad f| where the weight is at least `total`."""
             if total <= 0:
                 return inf
-            pull = turn_a * min(spread, b1 * spread * ((1 - b0) / total + 1))
-            pull += turn_b * min(spread, a1 * spread * ((1 - a0) / total + 1))
+            pull = product(turn_a, spread * min(1.0, b1 * ((1 - b0) / total + 1)))
+            pull += product(turn_b, spread * min(1.0, a1 * ((1 - a0) / total + 1)))
             mean = max(one.steepest, two.steepest)
             mean = min(mean, min(one.steepest, one.flux / total) + min(two.steepest, two.flux / total))
             return mean + (pull + rounding) / total

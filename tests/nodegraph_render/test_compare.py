@@ -12,7 +12,8 @@ from hypothesis.extra.numpy import arrays
 from PIL import Image as Picture
 
 from nodegraph.codec import decode, encode, seal
-from nodegraph_render.compare import compare, preview_differences
+from nodegraph_render.compare import compare
+from nodegraph_render.differences import preview_differences
 from nodegraph_terrain.raster import Elevation, Extent
 from nodegraph_terrain.reproject import reproject
 from nodegraph_terrain.resample import resample

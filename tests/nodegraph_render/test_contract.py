@@ -14,11 +14,11 @@ from nodegraph_render.flight import Film
 from nodegraph_render.material import Ground, Imagery, Plain, Water
 from nodegraph_render.mesh_adaptive import mesh_adaptive
 from nodegraph_render.mesh_tin import mesh_tin
-from nodegraph_render.path import turntable
 from nodegraph_render.profile import profile
 from nodegraph_render.sun import Sun
 from nodegraph_render.surface import Surface
 from nodegraph_render.trace import Trace, sphere_trace
+from nodegraph_render.turntable import turntable
 from nodegraph_terrain.hillshade import hillshade
 from nodegraph_terrain.polylines import Polylines
 from nodegraph_terrain.raster import Elevation, Extent, Image

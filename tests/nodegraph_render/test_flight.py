@@ -19,7 +19,7 @@ from nodegraph_render import picture as pictures
 from nodegraph_render.camera import camera
 from nodegraph_render.flight import Film, flight
 from nodegraph_render.material import Ground
-from nodegraph_render.path import KeyFrame, path, turntable
+from nodegraph_render.path import KeyFrame, path
 from nodegraph_render.picture import Style, picture, render_picture
 from nodegraph_render.save_film import save_film
 from nodegraph_render.shade import shade
@@ -27,6 +27,7 @@ from nodegraph_render.sun import Sun
 from nodegraph_render.surface import Surface
 from nodegraph_render.trace import sphere_trace
 from nodegraph_render.tracers import Settings
+from nodegraph_render.turntable import turntable
 from nodegraph_terrain.raster import Elevation, Extent, Image
 
 Y, X = np.mgrid[0:40, 0:60].astype(np.float32)

@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nodegraph_render.path import CameraPath, KeyFrame, path, turntable
+from nodegraph_render.camera_path import CameraPath
+from nodegraph_render.path import KeyFrame, path
 from nodegraph_render.sampling import bilinear
+from nodegraph_render.turntable import turntable
 from nodegraph_terrain.raster import Elevation, Extent
 
 KEYS = [

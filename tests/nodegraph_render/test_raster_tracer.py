@@ -251,17 +251,17 @@ def test_sphere_tracing_agrees(any_device: Any, voids: float) -> None:
 def test_steps_are_at_most_half_of_those_of_sphere_tracing(any_device: Any) -> None:
     surface = raster(sample_dem().data[:200, :200], (74, 92))
     centre = (surface.extent.west + surface.extent.east) / 2, (surface.extent.south + surface.extent.north) / 2
-    # Straight down there is little to save: sphere tracing needs five steps there.
-    for eye, share in (
+    # Straight down sphere tracing needs six steps, and nine at most: of so few an odd one counts.
+    for eye, worst in (
         ((*centre, 1500.0), 0.5),
         ((centre[0], surface.extent.south - 3000, 3000.0), 0.5),
-        ((*centre, 20_000.0), 0.7),
+        ((*centre, 20_000.0), 0.6),
     ):
         target = (centre[0] + 10, centre[1] + 2000, 400.0)
         rays = Camera(eye, target, field_of_view=30).rays(48, 64)
         fast, slow = (follow(surface, rays, any_device, method=name) for name in ("accelerated", "plain"))
-        assert fast.steps.mean() <= slow.steps.mean() * share
-        assert np.percentile(fast.steps, 99) <= np.percentile(slow.steps, 99) * share
+        assert fast.steps.mean() <= slow.steps.mean() / 2
+        assert np.percentile(fast.steps, 99) <= np.percentile(slow.steps, 99) * worst
 
 
 def test_embree_agrees(any_device: Any) -> None:

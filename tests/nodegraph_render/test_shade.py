@@ -81,7 +81,7 @@ def traced(surface: Surface, camera: Camera, rows: int, cols: int, k: int = 1) -
 def lit(trace: Trace, sun: Sun = NOON, *, sky_rays: int = 0, device: Any = None, visibility: float = 80_000.0) -> Lit:
     context = Context(device=device)
     tracers = [surface_tracer(surface, trace.camera, Settings(), device, context) for surface in trace.surfaces]
-    return lit_picture(trace, tracers, sun, visibility, sky_rays, device, context)
+    return lit_picture(trace, tracers, sun, visibility, sky_rays, context)
 
 
 def unit(*vectors: Sequence[float]) -> np.ndarray:
@@ -543,8 +543,8 @@ def test_the_twin_agrees(device: Any, k: int, altitude: float) -> None:
     # The same shadows, so that only the shading differs.
     context = Context()
     tracers = [surface_tracer(surface, trace.camera, Settings(), None, context) for surface in surfaces]
-    host = lit_picture(trace, tracers, Sun(250.0, altitude), 50_000.0, 2, None, context)
-    twin = lit_picture(trace, tracers, Sun(250.0, altitude), 50_000.0, 2, device, context)
+    host = lit_picture(trace, tracers, Sun(250.0, altitude), 50_000.0, 2, context)
+    twin = lit_picture(trace, tracers, Sun(250.0, altitude), 50_000.0, 2, Context(device=device))
     np.testing.assert_allclose(twin.light, host.light, rtol=2e-3, atol=1e-4 * host.light.max())
 
 

@@ -121,6 +121,15 @@ def test_agrees_with_the_definition(probe: Probe, kind: Any, cells: float) -> No
             assert np.quantile(wrong, 0.99) < 1e-5 * noise.lipschitz()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_digits_do_not_depend_on_the_distance_from_the_origin(probe: Probe, kind: Any) -> None:
+    """Offsets may span hundreds of cells of the finest octave."""
+    noise = Noise(kind, 5, wavelength=200.0, seed=5)
+    for span in (2.0, 200.0, 8000.0):
+        own, expected = probe(noise, (150_000.0, 150_000.0), span, 0)
+        assert np.abs(own.value - expected.value).max() < 1e-6
+
+
 @settings(max_examples=60)
 @given(
     kind=st.sampled_from(KINDS),

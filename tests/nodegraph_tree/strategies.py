@@ -18,12 +18,14 @@ from nodegraph_terrain.raster import Elevation, Extent
 from nodegraph_tree.add import Add
 from nodegraph_tree.affine import affine, placed
 from nodegraph_tree.basic import Constant, Plane
+from nodegraph_tree.bend import bend
 from nodegraph_tree.blend import blend
 from nodegraph_tree.by_terrain import by_terrain
 from nodegraph_tree.carve import Carve
 from nodegraph_tree.curve import curve
 from nodegraph_tree.detail import LevelOfDetail
 from nodegraph_tree.disc import Disc, NoiseField, Relief
+from nodegraph_tree.distort import distort
 from nodegraph_tree.falloff import derivative, fall_off, steepest_between
 from nodegraph_tree.from_elevation import from_elevation
 from nodegraph_tree.function import ABSENT, Bounds, Box, ElevationFunction, Points, Sample
@@ -34,8 +36,8 @@ from nodegraph_tree.replace import Replace
 from nodegraph_tree.ridge import ridge
 from nodegraph_tree.river import river
 from nodegraph_tree.road import road
+from nodegraph_tree.twist import twist
 from nodegraph_tree.union import Union
-from nodegraph_tree.warp import bend, distort, twist
 
 CENTRE = (150_000.0, 150_000.0)
 SIZE = 4000.0

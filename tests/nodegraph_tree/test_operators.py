@@ -18,7 +18,7 @@ from nodegraph_tree.basic import Constant, Plane
 from nodegraph_tree.blend import Blend, blend, greatest_mean
 from nodegraph_tree.carve import Carve
 from nodegraph_tree.detail import LevelOfDetail
-from nodegraph_tree.disc import Disc, Relief
+from nodegraph_tree.disc import Disc, NoiseField, Relief
 from nodegraph_tree.function import MAX_DEPTH, THRESHOLD, Bounds, Box, ElevationFunction, Points, Sample, depth
 from nodegraph_tree.layers import layer, layers, sample_layer
 from nodegraph_tree.replace import Replace, replace
@@ -281,6 +281,23 @@ def test_dunes_lie_where_it_is_gentle() -> None:
         < 1e-9
         or True
     )
+
+
+def test_the_slope_of_a_weight_by_slope_is_bounded_closely_in_small_boxes() -> None:
+    # Dunes below mountains.  From the steepest ground within the span the bound would be five times as large.
+    rocks = NoiseField(0.0, 0.0, 260.0, Relief("hybrid", 700.0, 2600.0, 9, seed=17))
+    dunes = operators.weight_by_terrain(Constant(5.0), rocks, steepest=18.0, slope_fade=10.0, span=60.0)
+    dice, found = np.random.default_rng(2), []
+    for x, y in dice.uniform(-4000, 4000, (80, 2)):
+        points = Points(*(corner + 16 * dice.random(300) for corner in (x, y)))
+        sample = dunes.query(points, gradient=True)
+        assert sample.weight_gradient is not None
+        found.append((np.hypot(*sample.weight_gradient).max(), dunes.bounds(Box(x, y, x + 16, y + 16)).weight_slope))
+    sampled, bounded = np.array(found).T
+    assert (sampled <= bounded * (1 + 1e-9)).all()
+    changing = sampled > 1e-4
+    assert changing.sum() > 8
+    assert np.median(bounded[changing] / sampled[changing]) < 8
 
 
 def test_weight_by_terrain_fades_where_the_terrain_ends() -> None:

@@ -14,9 +14,12 @@ from nodegraph_terrain.raster import Extent
 from nodegraph_tree import operators
 from nodegraph_tree.affine import placed
 from nodegraph_tree.basic import Constant
+from nodegraph_tree.bend import Bend, bend
 from nodegraph_tree.disc import Disc, NoiseField, Relief
+from nodegraph_tree.distort import Distort, distort
 from nodegraph_tree.function import Box, ElevationFunction, Points
-from nodegraph_tree.warp import Bend, Distort, Twist, Warp, bend, distort, twist
+from nodegraph_tree.twist import Twist, twist
+from nodegraph_tree.warp import Warp
 from tests.nodegraph_tree.strategies import Bump, grid, on_device
 
 GROUND = NoiseField(0.0, 0.0, 100.0, Relief("fbm", 80.0, 700.0, 4, seed=3))

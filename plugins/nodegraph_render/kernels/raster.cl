@@ -113,12 +113,13 @@ static inline Hit follow(const Field *field, const Ray *ray)
     const I forward_x = !(ray->dx < 0.0f) ? (I)(1) : NO, forward_y = !(ray->dy < 0.0f) ? (I)(1) : NO;
     const I last_column = field->cols - 2, last_row = field->rows - 2, coarsest = field->coarsest;
     I column = between(TO_I(ray->x), NO, last_column), row = between(TO_I(ray->y), NO, last_row);
-    // In a block wider than the stretch in which the ray passes through all heights there is seldom nothing to look at.
+    // In a block twice as wide as the stretch in which the ray passes through all heights there is seldom nothing to
+    // look at.
     const F sink = (ray->dz < 0.0f ? ray->z - field->bottom : field->top - ray->z) / fabs(ray->dz);
     const F stretch = sink * greatest(fabs(ray->dx), fabs(ray->dy));
     I widest = NO;
     for (int k = 1; k <= field->coarsest; k++)
-        widest += stretch >= (float)(1 << k * SHIFT) ? (I)(1) : NO;
+        widest += 2.0f * stretch >= (float)(1 << k * SHIFT) ? (I)(1) : NO;
     // A ray that begins inside the box may begin near the ground.
     I level = ((ray->start > 0.0f) | (widest < 1)) ? widest : (I)(1), live = ray->live;
     F t = ZERO;
@@ -166,6 +167,13 @@ static inline Hit follow(const Field *field, const Ray *ray)
         row = move ? to_y : row;
         hit.axis = move ? (through_x ? (I)(X_AXIS) : (I)(Y_AXIS)) : hit.axis;
         const I rise = up & (level < (highest > -INFINITY ? widest : coarsest));
+        // A block that is looked into is looked into from where the ray comes down to its top.
+        const F under = (highest - ray->z) / ray->dz;
+        const I lower = live & !move & (ray->dz < 0.0f) & (under > t);
+        t = lower ? least(under, leave) : t;
+        column = lower ? between(TO_I(ray->x + t * ray->dx), low_x, high_x < last_column ? high_x : last_column) : column;
+        row = lower ? between(TO_I(ray->y + t * ray->dy), low_y, high_y < last_row ? high_y : last_row) : row;
+        hit.axis = lower ? NO : hit.axis;
         level = move ? level + (rise ? (I)(1) : NO) : live ? level - 1 : NO;
     }
     hit.column = column;

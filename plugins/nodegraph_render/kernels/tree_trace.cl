@@ -39,6 +39,9 @@ static inline float epsilon(const Epsilon e, const float t) { return e.floor + e
 // Crossing a border, rays go this much further, so that rounding never leaves them where they were.
 static inline float beyond(const Epsilon e, const float t) { return 0.125f * epsilon(e, t) + 4e-7f * t; }
 
+// However steep the ground may be, rays go so far, that rounding never leaves them where they were.
+static inline float creep(const Epsilon e, const float t) { return 1e-3f * epsilon(e, t) + 4e-7f * t; }
+
 // The distance at which a ray leaves a box.
 static inline float leaving(const Ray *r, const float4 box)
 {
@@ -122,7 +125,7 @@ static void stride(const Quadtree *q, const Epsilon e, Ray *r, const float gap, 
 {
     const float x = r->o[0] + r->t * r->u[0], y = r->o[1] + r->t * r->u[1];
     const float least = beyond(e, r->t), wide = epsilon(e, r->t);
-    float best = least, bold = 0.0f, slope = -1.0f;
+    float best = creep(e, r->t), bold = 0.0f, slope = -1.0f;
     int node = 0;
     for (int level = 0; level < q->levels; level++) {
         const float4 box = vload4(node, q->box), limit = vload4(node, q->limits);

@@ -3,7 +3,7 @@
 #include "relief.h"
 #include "tree.h"
 
-#define CURVE_ARC 16
+#define CURVE_ARC 18
 #define CURVE_WINDOW 1.0f
 
 // An arc of a curve seen from eight samples.
@@ -25,10 +25,11 @@ static inline float8 curve_soft(float8 s, float length, float soft)
     return clamp(s, -length, length) + copysign(extra * (1.0f - extra * soft), s);
 }
 
-// q = {middle east, north, tangent, curvature, half, beyond, length, soft, fold, ...}
+// q = {middle east, north, tangent, curvature, half, beyond, length, soft, fold, height's cubic, place, its slope,
+//      what float32 has lost of the middle}: a sample is near an arc, so that the difference keeps its digits.
 static inline Seen curve_project(const State *s, P q)
 {
-    const float8 x = s->x - q[0], y = s->y - q[1];
+    const float8 x = (s->x - q[0]) - q[16], y = (s->y - q[1]) - q[17];
     const float8 a = q[2] * x + q[3] * y, b = q[2] * y - q[3] * x;
     const float k = q[4], half_ = q[5], beyond = q[6];
     Seen found;

@@ -52,13 +52,13 @@ static inline float8 fall_off(int kind, float8 t)
         t = fmax(2.0f * t - 1.0f, 0.0f);
         kind = 1;
     }
-    if (kind == 0) {
-        const float8 u = 1.0f - t * t;
+    // In factors: no digits cancel, and none is below 0.
+    const float8 u = kind == 0 ? 1.0f - t * t : 1.0f - t;
+    if (kind == 0)
         return u * u * u;
-    }
     if (kind == 1)
-        return 1.0f - t * t * (3.0f - 2.0f * t);
-    return 1.0f - t * t * t * (10.0f - t * (15.0f - 6.0f * t));
+        return u * u * (1.0f + 2.0f * t);
+    return u * u * u * (1.0f + t * (3.0f + 6.0f * t));
 }
 
 #endif
