@@ -1,0 +1,385 @@
+"""A sparse construction tree as a terrain: discs of atoms, blended."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import floor, hypot
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nodegraph import Context, Param, node, port_type
+from nodegraph_sparse.dictionary import BLOCK, Dictionary, SparseCode
+from nodegraph_sparse.noise_dictionary import NoiseDictionary
+from nodegraph_sparse.patch_grid import PatchGrid
+from nodegraph_sparse.sparse_bounds import BlendRanges, Indices
+from nodegraph_tree.border import Border
+from nodegraph_tree.device import Kernel
+from nodegraph_tree.falloff import FallOff
+from nodegraph_tree.from_elevation import Interpolation
+from nodegraph_tree.function import ABSENT, Bounds, Box, ElevationFunction, Floats, Points, Sample, empty_sample
+from nodegraph_tree.pixels import PAD, Range, basis
+
+if TYPE_CHECKING:
+    from nodegraph_tree.device import Emitter, Frame
+
+_BLEND = Kernel("sparse_terrain", Path(__file__).with_name("kernels") / "sparse.cl")
+
+POINTS = 1 << 14
+"""Points that NumPy evaluates at once."""
+
+HELD = 0.5
+"""Radii beyond the outer centres from where weights stay as they are, so that some patch always counts."""
+
+
+@port_type
+class SparseTerrain(ElevationFunction):
+    """Patches of atoms on a grid: f(p) = sum_i alpha_i F_i(p) / sum_i alpha_i, alpha_i = (1 - |p - c_i|^2 / R^2)^3.
+
+    F_i = z_i + b(kappa) sum_j x_ij d_(k_ij)(p - c_i), where d interpolates the samples of an atom.  At a level of
+    detail kappa < 1 the atoms fade by b = 1 - (1 - kappa^2)^3: down to the blend of the means z alone.
+
+    Attributes:
+        grid: where the centres c are; the terrain covers its extent.
+        atoms: (N, size + 4, size + 4) float32, those that are used, each continued by two samples on every side.
+        indices: k, (n, s) int32.
+        coefficients: x, (n, s) float64, 0 where patches have fewer atoms.
+        means: z, (n,) float64, m.
+        margin: over which the weight of the terrain falls to 0 at the edges, m.
+        interpolation: of samples.
+        fall_off: how that weight falls.
+    """
+
+    grid: PatchGrid
+    atoms: npt.NDArray[Any]
+    indices: npt.NDArray[Any]
+    coefficients: npt.NDArray[Any]
+    means: npt.NDArray[Any]
+    margin: float
+    interpolation: Interpolation = "bicubic"
+    fall_off: FallOff = "cubic"
+
+    @property
+    def size(self) -> int:
+        """Samples along a side of an atom."""
+        return int(self.atoms.shape[1]) - 2 * PAD
+
+    @property
+    def support(self) -> Box:
+        """The extent of the grid."""
+        extent = self.grid.extent
+        return Box(extent.west, extent.south, extent.east, extent.north)
+
+    @cached_property
+    def _border(self) -> Border:
+        west, south, east, north = self.support
+        edges = ((1.0, 0.0, west), (-1.0, 0.0, -east), (0.0, 1.0, south), (0.0, -1.0, -north))
+        return Border(edges, self.margin, self.fall_off)
+
+    def query(self, points: Points, *, gradient: bool = False) -> Sample:
+        """Blend the patches, four at most for each point: O(points * sparsity), in blocks of bounded memory."""
+        whole = self._border.query(points.x, points.y)
+        found = empty_sample(points, gradient=gradient)
+        height, weight = found.height.copy(), whole.weight
+        slope = np.zeros((2, *points.x.shape)) if gradient else None
+        inside = np.flatnonzero(weight > 0)
+        for start in range(0, len(inside), POINTS):
+            some = inside[start : start + POINTS]
+            detail = points.detail if isinstance(points.detail, (int, float)) else points.detail[some]
+            part = self._blend(Points(points.x[some], points.y[some], detail), gradient)
+            height[some] = part[0]
+            if slope is not None:
+                slope[:, some] = part[1:]
+        return Sample(height, weight, slope, np.stack([whole.east, whole.north]) if gradient else None)
+
+    def _blend(self, points: Points, gradient: bool) -> Floats:
+        """Return f of points inside, and its derivatives towards east and north with `gradient`, (1 or 3, n)."""
+        grid, half = self.grid, self.size // 2
+        u, v = (points.x - grid.west) / grid.radius, (grid.north - points.y) / grid.radius
+        held_u, held_v = np.clip(u, -HELD, grid.cols - 1 + HELD), np.clip(v, -HELD, grid.rows - 1 + HELD)
+        west, north = np.floor(held_u), np.floor(held_v)
+        c, r = (u - west) * half - 0.5, (v - north) * half - 0.5
+        left, top = np.clip(np.floor(c), -1, half - 1), np.clip(np.floor(r), -1, half - 1)
+        (wx, dx), (wy, dy) = (
+            [np.stack(item) for item in basis(self.interpolation, place)] for place in (c - left, r - top)
+        )
+        taps = [wy[:, None] * wx]
+        if gradient:
+            taps += [wy[:, None] * dx, dy[:, None] * wx]
+        first = PAD + 1 - len(wx) // 2
+        stride = 2 * half + 2 * PAD
+        inside = (top.astype(np.int64) + first) * stride + left.astype(np.int64) + first
+        reach = np.arange(len(wx))
+        inside = inside + (reach[:, None] * stride + reach)[..., None]
+        fade = faded(points.detail)
+        flat = self.atoms.reshape(-1)
+        total, blended = np.zeros(u.shape), np.zeros((len(taps), *u.shape))
+        around = []
+        for b in (0, 1):
+            row = north.astype(np.int64) + b
+            for a in (0, 1):
+                column = west.astype(np.int64) + a
+                there = (row >= 0) & (row < grid.rows) & (column >= 0) & (column < grid.cols)
+                patch = np.where(there, row * grid.cols + column, 0)
+                x, y = held_u - west - a, held_v - north - b
+                base = np.where(there, np.maximum(1 - x * x - y * y, 0.0), 0.0)
+                relief = np.zeros((len(taps), *u.shape))
+                place = inside + ((1 - b) * stride + 1 - a) * half
+                cells: Floats | float = 0.0
+                for index, factor in zip(self.indices[patch].T, self.coefficients[patch].T, strict=True):
+                    cells = cells + factor * flat[place + index.astype(np.int64) * stride**2]
+                for kind, weights in enumerate(taps):
+                    relief[kind] = fade * (weights * cells).sum(axis=(0, 1))
+                relief[0] += self.means[patch]
+                alpha = base**3
+                total += alpha
+                blended += alpha * relief
+                around.append((-6 * base**2, x, y, relief[0]))
+        blended /= total
+        if not gradient:
+            return blended
+        # Per radius: as atoms change, and as patches take over from each other.
+        along, down = blended[1:] * half
+        moves_x = (u == held_u) / total
+        moves_y = (v == held_v) / total
+        for rate, x, y, value in around:
+            turned = rate * (value - blended[0])
+            along += turned * x * moves_x
+            down += turned * y * moves_y
+        return np.stack([blended[0], along / grid.radius, -down / grid.radius])
+
+    @cached_property
+    def _ranges(self) -> BlendRanges:
+        return BlendRanges((self.grid.rows, self.grid.cols), self.size // 2, self.interpolation, self._patches)
+
+    @cached_property
+    def _smooth_ranges(self) -> BlendRanges:
+        """Of the means alone."""
+        return BlendRanges((self.grid.rows, self.grid.cols), 1, "bilinear", self._levels)
+
+    def _patches(self, rows: Indices, cols: Indices) -> Floats:
+        """Return the samples of patches, with those around."""
+        which = rows[:, None] * self.grid.cols + cols
+        found = np.zeros((*which.shape, *self.atoms.shape[1:]))
+        for index, factor in zip(
+            self.indices[which].transpose(2, 0, 1), self.coefficients[which].transpose(2, 0, 1), strict=True
+        ):
+            found += factor[..., None, None] * self.atoms[index]
+        found += self.means[which][..., None, None]
+        return found
+
+    def _levels(self, rows: Indices, cols: Indices) -> Floats:
+        level = self.means[rows[:, None] * self.grid.cols + cols]
+        return np.tile(level[..., None, None], (2 + 2 * PAD, 2 + 2 * PAD))
+
+    def bounds(self, box: Box, detail: float = 1.0) -> Bounds:
+        """Bound the blend block by block (`nodegraph_sparse.sparse_bounds`), and the weight by the border.
+
+        f(kappa) = (1 - b) f(0) + b f(1), each with bounds of its own.
+        """
+        part = box.intersection(self.support)
+        if part.empty:
+            return ABSENT
+        around = self._border.bounds(part)
+        if around.high <= 0:
+            return ABSENT
+        found = self._range(part, detail)
+        middle = Points(np.array([0.5 * (part.west + part.east)]), np.array([0.5 * (part.south + part.north)]), detail)
+        far = found.slope * 0.5 * hypot(part.east - part.west, part.north - part.south)
+        low, high, slope = found
+        if far < high - low:
+            value = float(self._blend(middle, gradient=False)[0, 0])
+            low, high = max(low, value - far), min(high, value + far)
+        # Outside its extent there is nothing.
+        least = around.low if part == box else 0.0
+        return Bounds(low, high, least, around.high, slope, around.slope, around.high * slope, slope)
+
+    def _range(self, part: Box, detail: float) -> Range:
+        grid, share = self.grid, float(faded(detail))
+        place = (
+            (part.west - grid.west) / grid.radius, (part.east - grid.west) / grid.radius,
+            (grid.north - part.north) / grid.radius, (grid.north - part.south) / grid.radius,
+        )  # fmt: skip
+        smooth = self._smooth_ranges.over(*place) if share < 1 else Range(0.0, 0.0, 0.0)
+        rough = self._ranges.over(*place) if share > 0 else Range(0.0, 0.0, 0.0)
+        low, high, slope = ((1 - share) * a + share * b for a, b in zip(smooth, rough, strict=True))
+        return Range(low, high, slope / grid.radius)
+
+    @cached_property
+    def _tables(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int32]]:
+        """What the device reads of each patch, (rows, cols, ...): mean and coefficients; atoms."""
+        shape = (self.grid.rows, self.grid.cols, -1)
+        floats = np.column_stack([self.means, self.coefficients]).astype(np.float32)
+        return floats.reshape(shape), self.indices.astype(np.int32).reshape(shape)
+
+    def emit(self, emitter: Emitter, frame: Frame) -> None:
+        """Emit the patches that reach into the tile."""
+        edges = self._border.device(frame)
+        if edges is None:
+            emitter.nothing()
+            return
+        grid, part = self.grid, frame.box.intersection(self.support)
+        spans = []
+        for start, stop, count in (
+            ((grid.north - part.north) / grid.radius, (grid.north - part.south) / grid.radius, grid.rows),
+            ((part.west - grid.west) / grid.radius, (part.east - grid.west) / grid.radius, grid.cols),
+        ):
+            # A little more, for what rounding adds.
+            first, last = floor(start - 1e-3), floor(stop + 1e-3) + 1
+            spans.append(slice(min(max(first, 0), count - 1), min(max(last, 0), count - 1) + 1))
+        rows, cols = spans
+        floats, ints = (item[rows, cols] for item in self._tables)
+        emitter.add(
+            _BLEND,
+            [
+                (frame.ox - grid.west) / grid.radius - cols.start, 1 / grid.radius,
+                (grid.north - frame.oy) / grid.radius - rows.start, -1 / grid.radius,
+                -HELD - cols.start, grid.cols - 1 + HELD - cols.start,
+                -HELD - rows.start, grid.rows - 1 + HELD - rows.start,
+                *floats.ravel().tolist(), *edges[0],
+            ],
+            [
+                emitter.shared.place(self.atoms), *floats.shape[:2], ints.shape[2], self.size // 2,
+                int(self.interpolation == "bicubic"), *edges[1], *ints.ravel().tolist(),
+            ],
+        )  # fmt: skip
+
+
+def faded(detail: Floats | float) -> Floats:
+    """Return b, how much of the atoms there is at a level of detail."""
+    return np.asarray(1 - (1 - np.square(detail)) ** 3)
+
+
+@node(version=1)
+def sparse_terrain(
+    dictionary: Dictionary,
+    code: SparseCode,
+    *,
+    interpolation: Annotated[Interpolation, Param("Of the samples of atoms: bicubic is C1, bilinear C0.")] = "bicubic",
+    size: Annotated[
+        int | None,
+        Param("Samples along a side of atoms that are functions; none: the dictionary's own.", ge=2, le=4096),
+    ] = None,
+    margin: Annotated[
+        float, Param("Where the weight falls to 0 at the edges; 0: as narrow as can be.", ge=0, unit="m")
+    ] = 0.0,
+    fall_off: Annotated[FallOff, Param("How the weight falls over the margin.")] = "cubic",
+    context: Context,
+) -> ElevationFunction:
+    """Make a terrain of a dictionary and a code: a sparse construction tree, to be edited like any other.
+
+    Over each disc of radius R around a centre c_i of the grid lies F_i(p) = z_i + sum_j x_ij d_(k_ij)(p - c_i), and
+
+        f(p) = sum_i alpha_i(p) F_i(p) / sum_i alpha_i(p),  alpha_i(p) = (1 - |p - c_i|^2 / R^2)^3 in the disc.
+
+    Atoms are interpolated through their samples: ``bicubic`` (Catmull-Rom) or ``bilinear``, and continued by odd
+    reflection beyond the outer ones.  The dictionary is that of the code, or its counterpart in more detail, atom by
+    atom: the ``high`` of a multi-resolution dictionary whose ``low`` was coded.  Atoms that no patch uses are left out.
+    More than half a radius beyond the outer centres the alphas stay what they are; a terrain only reaches there where
+    its radius is an odd number of cells, and by half a cell.
+
+    Sampled at the cells of the terrain that was coded, the result is what the code says, to rounding.  The weight is 1
+    inside and falls to 0 at the edges over the margin, half a sample at least.  At a level of detail kappa < 1 what the
+    atoms add to the blend of the means z is multiplied by 1 - (1 - kappa^2)^3.
+
+    Args:
+        dictionary: atoms d, of any kind.
+        code: where patches are, with their means z, atoms k and coefficients x.
+        interpolation: between samples.
+        size: even; a noise dictionary's functions show more of themselves at a higher one.
+        margin: at most half the narrower side.
+        fall_off: of the weight over the margin.
+        context: the engine's.
+
+    Raises:
+        ValueError: the dictionary has another number of atoms or another metric than the code's, an odd size or one
+            that is no multiple of the code's; it holds no functions that could be sampled anew; an atom, a mean or a
+            coefficient is not finite; the grid is in degrees or reaches beyond its discs; or the margin is too wide.
+
+    Complexity: O(s) a point, with 4 discs at most over it, 16 samples of each.  It holds the atoms that are used, and
+    16 bytes a coefficient.
+
+    Source: Guérin et al. 2016, Sparse representation of terrains for procedural modeling, Computer Graphics Forum
+    35(2), sections 4.1 and 5, doi:10.1111/cgf.12821.
+    """
+    if size is not None and size != dictionary.size:
+        if not isinstance(dictionary, NoiseDictionary):
+            raise ValueError(
+                f"the dictionary holds samples, {dictionary.size} along a side, which cannot become {size}; leave the "
+                "size out, or link a dictionary of noise"
+            )
+        dictionary = dictionary.resampled(size)
+    _check(dictionary, code, margin)
+    used, places = np.unique(code.indices, return_inverse=True)
+    none = int(np.count_nonzero(used < 0))
+    indices = np.maximum(places.reshape(code.indices.shape) - none, 0).astype(np.int32)
+    coefficients = np.where(code.indices >= 0, code.coefficients, 0.0).astype(np.float64)
+    # Columns that no patch uses would cost as much as others.
+    terms = int(np.count_nonzero((code.indices >= 0).any(axis=0)))
+    atoms = _continued(dictionary, used[none:], context)
+    return SparseTerrain(
+        code.grid, atoms, indices[:, :terms], coefficients[:, :terms], code.means.astype(np.float64),
+        max(margin, code.grid.radius / dictionary.size), interpolation, fall_off,
+    )  # fmt: skip
+
+
+def _check(dictionary: Dictionary, code: SparseCode, margin: float) -> None:
+    grid, extent, size = code.grid, code.grid.extent, dictionary.size
+    if not grid.count:
+        raise ValueError("the code has no patches: it is of patches at random places; link one of a grid")
+    if dictionary.count != code.atoms:
+        raise ValueError(
+            f"the code is one of {code.atoms} atoms and the dictionary has {dictionary.count}; link the dictionary "
+            "that the code was made with, or its high counterpart"
+        )
+    if dictionary.metric != code.metric:
+        raise ValueError(
+            f"the code was made in the {code.metric} metric and the dictionary in the {dictionary.metric} one; make "
+            "both in the same"
+        )
+    if size % 2:
+        raise ValueError(f"atoms of {size} by {size} samples have none on each other; give them an even size")
+    if code.size is not None and size % code.size:
+        raise ValueError(
+            f"atoms of {size} samples along a side do not fit a code of patches of {code.size}; link the dictionary "
+            "that the code was made with, or one of a multiple of its size"
+        )
+    if extent.unit != "m":
+        raise ValueError("the grid of the code is in degrees; code a terrain in metres")
+    west, north = (grid.west - extent.west) / grid.radius, (extent.north - grid.north) / grid.radius
+    east = (extent.width / grid.radius) - west - (grid.cols - 1)
+    south = (extent.height / grid.radius) - north - (grid.rows - 1)
+    if max(west, north, east, south) > 1 + 1e-6:
+        raise ValueError(
+            f"the extent of the code reaches {max(west, north, east, south):.3g} radii beyond the outer centres of its "
+            "grid; 1 is possible"
+        )
+    if 2 * margin > min(extent.width, extent.height):
+        raise ValueError(
+            f"a margin of {margin:g} m leaves nothing of a terrain {extent.width:g} m by {extent.height:g} m; "
+            f"{0.5 * min(extent.width, extent.height):g} m are possible"
+        )
+    for name, values in (("mean", code.means), ("coefficient", code.coefficients)):
+        wrong = np.argwhere(~np.isfinite(values))
+        if len(wrong):
+            where = tuple(wrong[0].tolist())
+            raise ValueError(f"the {name} of patch {where[0]} is {values[where]}; it must be a finite number")
+
+
+def _continued(dictionary: Dictionary, which: npt.NDArray[Any], context: Context) -> npt.NDArray[np.float32]:
+    """Return some atoms, each with two more samples on every side, by odd reflection: slopes go on."""
+    size = dictionary.size
+    found = np.empty((len(which), size + 2 * PAD, size + 2 * PAD), np.float32)
+    step = max(1, BLOCK // size**2)
+    for start in range(0, len(which), step):
+        context.progress(start / len(which))
+        some = which[start : start + step]
+        samples = dictionary.atoms(some)
+        finite = np.isfinite(samples).all(axis=(1, 2))
+        if not finite.all():
+            raise ValueError(f"atom {some[int(np.argmin(finite))]} has samples that are not finite numbers")
+        around = ((0, 0), (PAD, PAD), (PAD, PAD))
+        found[start : start + len(some)] = np.pad(samples, around, mode="reflect", reflect_type="odd")
+    return found
