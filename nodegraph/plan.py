@@ -9,6 +9,7 @@ off everything below.  `nodegraph.run` continues exactly this walk while it comp
 from __future__ import annotations
 
 import functools
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 
 _SCALARS = (bool, int, float, str)
+_NO_FILES: dict[str, str] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,9 @@ class Plan:
         needed: steps the targets depend on, themselves included, in topological order.
         targets: (step, output) wanted.
         key: cache key once all inputs' digests are known.
-        record: what the cache knows under that key.
+        record: what the cache knows under that key, or what computing the step gave; set by `note`.
+        weight: bytes of the outputs, as the record has it.
+        share: what each consumer pays for having the outputs again where they are not stored, s.
         digests: content digests of the outputs once known.
         error: why a step cannot run, found while planning (a missing file).
         device: the OpenCL device that twins run on, or None.
@@ -87,11 +91,13 @@ class Plan:
         count = len(network.steps)
         self.key: list[bytes | None] = [None] * count
         self.record: list[Record | None] = [None] * count
+        self.weight = array("q", bytes(8 * count))
+        self.share = array("d", bytes(8 * count))
         self.digests: list[tuple[bytes, ...] | None] = [None] * count
         self.error: list[NodeError | None] = [None] * count
         self.recompute: dict[int, str] = {}
         self._files: dict[int, dict[str, bytes]] = {}
-        self._types: dict[tuple[int, Code], tuple[bytes, str, str]] = {}
+        self._types: dict[tuple[int, Code], tuple[bytes, str, str, str]] = {}
         self._history: dict[str, bytes] | None = None
         for index in self.needed:
             if all(self.digests[source] is not None for _, source, _ in network.steps[index].inputs):
@@ -120,23 +126,36 @@ class Plan:
         record = self.cache.lookup(key)
         if record is not None and len(record.digests) != len(step.node.outputs):
             record = None
-        self.record[index] = record
+        self.note(index, record)
         if record is None or self.checked or index in self.forced:
             return False
         self.digests[index] = record.digests
         return True
 
-    def _of_type(self, step: Step) -> tuple[bytes, str, str]:
+    def note(self, index: int, record: Record | None) -> None:
+        """Take what is known of a step's result, and from it what having its outputs again would take.
+
+        Outputs that several steps consume count by a share for each, as area flow does in technology mapping: a chain
+        or a tree is counted exactly, and shared ancestors are not counted once for every path to them, which would
+        grow with the depth of a graph without limit.
+        """
+        self.record[index] = record
+        if record is not None:
+            self.weight[index] = sum(record.sizes)
+            consumers = len(self.network.consumers[index])
+            self.share[index] = 0.0 if record.worth_storing or not consumers else record.restore / consumers
+
+    def _of_type(self, step: Step) -> tuple[bytes, str, str, str]:
         """Return what all steps of one node type and the same file formats share.
 
-        That is the prefix of their keys, the fingerprint of their code, and the class of device.
+        That is the prefix of their keys, the type id, the fingerprint of their code, and the class of device.
         """
         node = step.node
         known = self._types.get((id(node), step.code))
         if known is None:
             code = fingerprints().of(node, step.code)
             device = self.device.class_id if self.device is not None and node.twin is not None else ""
-            known = (cache_keys.prefix(node.id, node.version, code, device), code.hex(), device)
+            known = (cache_keys.prefix(node.id, node.version, code, device), node.id, code.hex(), device)
             self._types[id(node), step.code] = known
         return known
 
@@ -166,12 +185,16 @@ class Plan:
         step = self.network.steps[index]
         digests = self.digests
         inputs = tuple([(port, digests[source][output]) for port, source, output in step.inputs])  # type: ignore[index]
+        files = self._files_of(index) if step.files else _NO_FILES
+        _, type_id, code, device = self._of_type(step)
+        return Recipe(type_id, step.node.version, code, step.canonical.decode(), inputs, files, device)
+
+    def _files_of(self, index: int) -> dict[str, str]:
         files = {}
-        for name, digest in self._files.get(index, {}).items():
-            names = ", ".join(path.name for _, path in step.files[name])
+        for name, digest in self._files[index].items():
+            names = ", ".join(path.name for _, path in self.network.steps[index].files[name])
             files[name] = f"{xxh3_128_hexdigest(digest)} {names}"
-        _, code, device = self._of_type(step)
-        return Recipe(step.node.id, step.node.version, code, step.canonical.decode(), inputs, files, device)
+        return files
 
     # Why.
 

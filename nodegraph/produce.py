@@ -5,6 +5,7 @@ This is what workers do without the scheduler's lock; it decides nothing about o
 
 from __future__ import annotations
 
+import functools
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -189,7 +190,7 @@ class Producer:
         else:
             digests = tuple([codec.seal(value) for value in host])
         self._compare(index, digests)
-        files = files_of(values) if any(issubclass(kind, File) for kind in step.types) else ()
+        files = files_of(values) if _hold_files(step.types) else ()
         shapes = tuple([shape_text(value) for value in values])
         record = Record(key, digests, sizes, seconds, restore, files, plan.recipe(index), held, shapes)
         # Kept first: where the files cannot be written, the result is not lost, and the next run only writes them.
@@ -197,19 +198,11 @@ class Producer:
         return self._publish(index, Outcome("computed", values, digests, record), record)
 
     def _weigh_inputs(self, step: Step) -> tuple[float, int]:
-        """Return what having the inputs again would take where they are not stored, s, and their bytes.
-
-        An input that several steps consume counts by its share for each, as area flow does in technology mapping: a
-        chain or a tree is counted exactly, and shared ancestors are not counted once for every path to them, which
-        would grow with the depth of a graph without limit.
-        """
-        plan, cost, held = self._plan, 0.0, 0
+        """Return what having the inputs again would take where they are not stored, s, and their bytes."""
+        share, weight, cost, held = self._plan.share, self._plan.weight, 0.0, 0
         for _, source, _ in step.inputs:
-            record = plan.record[source]
-            if record is not None:
-                held += sum(record.sizes)
-                if not record.worth_storing:
-                    cost += record.restore / len(plan.network.consumers[source])
+            cost += share[source]
+            held += weight[source]
         return cost, held
 
     def _compare(self, index: int, digests: tuple[bytes, ...]) -> None:
@@ -236,3 +229,8 @@ class Producer:
             message = f"cannot write '{where}' ({error.strerror or error}); choose another folder with --out"
             raise NodeError(step.id, step.node.id, message) from error
         return outcome
+
+
+@functools.cache
+def _hold_files(types: tuple[type, ...]) -> bool:
+    return any(issubclass(kind, File) for kind in types)

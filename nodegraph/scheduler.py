@@ -28,6 +28,7 @@ import logging
 import os
 import threading
 import time
+from array import array
 from collections.abc import Iterable
 from typing import Any
 
@@ -79,12 +80,9 @@ class Scheduler:
         self._needed = bytearray(count)
         for index in plan.needed:
             self._needed[index] = 1
-        self._consumers = [
-            [consumer for consumer in plan.network.consumers[index] if self._needed[consumer]]
-            if self._needed[index]
-            else []
-            for index in range(count)
-        ]
+        self._consumers = plan.network.consumers
+        if len(plan.needed) < count:
+            self._consumers = [list(filter(self._needed.__getitem__, consumers)) for consumers in self._consumers]
         self._unresolved = [0] * count
         self.values: list[tuple[Any, ...] | None] = [None] * count
         self._producing = bytearray(count)
@@ -99,7 +97,7 @@ class Scheduler:
         self._status: list[Status | None] = [None] * count
         self._reason = [""] * count
         self._seconds = [0.0] * count
-        self._begun = [0.0] * count
+        self._begun = array("d", bytes(8 * count))
         self._worker = [0] * count
         self.errors: list[NodeError] = []
         self._pinned = {index for index, _ in plan.targets} if keep_values else set()
@@ -416,7 +414,7 @@ class Scheduler:
             new = self.plan.digests[index] is None
             self.values[index] = outcome.values
             if outcome.record is not None:
-                self.plan.record[index] = outcome.record
+                self.plan.note(index, outcome.record)
                 self._seconds[index] = outcome.record.seconds
                 self._typical += 0.1 * (outcome.record.seconds - self._typical)
                 self._computed[index] = 1

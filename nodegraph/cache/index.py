@@ -18,7 +18,6 @@ import logging
 import sqlite3
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
 from typing import Any, NamedTuple, TypeVar
@@ -84,12 +83,11 @@ class Recipe(NamedTuple):
     code: str
     params: str
     inputs: tuple[tuple[str, bytes], ...]
-    files: dict[str, str]
+    files: Mapping[str, str]
     device: str
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
+class Record(NamedTuple):
     """What is remembered of one computed node.
 
     Attributes:

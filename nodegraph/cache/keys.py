@@ -9,8 +9,12 @@ of ancestors: an input that comes out equal in bytes cuts off everything below i
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
+from operator import itemgetter
 
 from xxhash import xxh3_128_digest
+
+_PORT = itemgetter(0)
 
 SCHEMA = 2
 """Raised when keys come to mean something else; older results are then never found again.
@@ -21,9 +25,8 @@ SCHEMA = 2
 
 def prefix(type_id: str, version: int, code: bytes, device: str = "") -> bytes:
     """Return the part of a key that all nodes of one type share."""
-    return xxh3_128_digest(
-        _joined(str(SCHEMA).encode(), type_id.encode(), str(version).encode(), code, device.encode())
-    )
+    parts = (str(SCHEMA).encode(), type_id.encode(), str(version).encode(), code, device.encode())
+    return xxh3_128_digest(b"".join(map(_framed, parts)))
 
 
 def key(
@@ -37,21 +40,20 @@ def key(
         inputs: (port name, value digest) of each link; the order matters within a port (variadic), not between ports.
         files: digest of the contents of the files it reads, by parameter.
     """
-    parts = [prefix, canonical]
-    for port, digest in sorted(inputs, key=_port):
-        parts.append(port.encode())
-        parts.append(digest)
+    parts = [_framed(prefix), _framed(canonical)]
+    for port, digest in sorted(inputs, key=_PORT):
+        parts += (_framed_name(port), _framed(digest))
     if files:
         for name in sorted(files):
-            parts.append(b"file " + name.encode())
-            parts.append(files[name])
-    return xxh3_128_digest(_joined(*parts))
+            parts += (_framed_name("file " + name), _framed(files[name]))
+    return xxh3_128_digest(b"".join(parts))
 
 
-def _port(item: tuple[str, bytes]) -> str:
-    return item[0]
-
-
-def _joined(*parts: bytes) -> bytes:
+def _framed(part: bytes) -> bytes:
     # Each part is led by its length, so that no two lists of parts give the same bytes.
-    return b"".join([len(part).to_bytes(4, "little") + part for part in parts])
+    return len(part).to_bytes(4, "little") + part
+
+
+@cache
+def _framed_name(name: str) -> bytes:
+    return _framed(name.encode())
