@@ -25,8 +25,8 @@ goes on by (T - alpha) / (|u_xy| lambda_alpha), and inside by no more than (alph
 the whole box is terrain, but by epsilon(t) at least: neither gaps nor walls wider than that are stepped over.
 
 A point counts as hit when h < epsilon(t) = floor + share t.  So that rounding cannot hold them, rays go epsilon / 8
-further than needed where they cross from box to box, and epsilon / 1000 at least everywhere: a blade of ground may be
-passed that is thinner than that.
+further than needed where they cross from box to box, and epsilon / 64 at least everywhere: a blade of ground may be
+passed that is thinner than that, and so, where slopes are below 128, by less than epsilon.
 
 Sources: Hart, Sphere tracing, The Visual Computer 12 (1996), doi:10.1007/s003710050084; Génevaux et al., section 7,
 doi:10.1111/cgf.12530.
@@ -79,7 +79,7 @@ class Epsilon(NamedTuple):
 
     def creep(self, depth: Doubles) -> Doubles:
         """Return how far rays go at least, however steep the ground may be."""
-        return 1e-3 * self.at(depth) + 4e-7 * depth
+        return self.at(depth) / 64 + 4e-7 * depth
 
 
 EPSILON = Epsilon()

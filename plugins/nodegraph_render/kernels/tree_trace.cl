@@ -39,8 +39,8 @@ static inline float epsilon(const Epsilon e, const float t) { return e.floor + e
 // Crossing a border, rays go this much further, so that rounding never leaves them where they were.
 static inline float beyond(const Epsilon e, const float t) { return 0.125f * epsilon(e, t) + 4e-7f * t; }
 
-// However steep the ground may be, rays go so far, that rounding never leaves them where they were.
-static inline float creep(const Epsilon e, const float t) { return 1e-3f * epsilon(e, t) + 4e-7f * t; }
+// However steep the ground may be, rays go so far: rounding never leaves them where they were, and they end.
+static inline float creep(const Epsilon e, const float t) { return epsilon(e, t) / 64.0f + 4e-7f * t; }
 
 // The distance at which a ray leaves a box.
 static inline float leaving(const Ray *r, const float4 box)
