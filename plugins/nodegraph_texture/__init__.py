@@ -1,0 +1,1 @@
+"""Texturing: surface layers that know the ground, and how to fit them to a satellite image [Dachsbacher 2006]."""
