@@ -91,7 +91,8 @@ def ripples(material: Water, spots: Spots, direction: Reals) -> tuple[Reals, Rea
     spread = np.sqrt(hidden / 2)
     mean = spread**2 * level / (np.maximum(-direction[:, 2], 0) + 0.8 * spread * level + 1e-9)
     towards = -direction[:, :2] / np.maximum(level, 1e-9)[:, None]
-    tilt = up / up[:, 2:]
+    # Where water ends in the air it shows a side, which is upright.
+    tilt = up / np.maximum(up[:, 2:], 1e-3)
     tilt[:, 0] += mean * towards[:, 0] - east
     tilt[:, 1] += mean * towards[:, 1] - north
     # What faces away from the viewer is hidden by what does not.
@@ -109,7 +110,7 @@ def glint(direction: Reals, normal: Reals, sun: npt.NDArray[np.float64], varianc
     half = sun - direction
     half = half / np.linalg.norm(half, axis=1)[:, None]
     up = np.maximum(half[:, 2], 1e-3)
-    away = (half[:, :2] / up[:, None] - normal[:, :2] / normal[:, 2:]) ** 2
+    away = (half[:, :2] / up[:, None] - normal[:, :2] / np.maximum(normal[:, 2:], 1e-3)) ** 2
     density = np.exp(-away.sum(axis=1) / variance) / (math.pi * variance)
     facing = np.maximum(-np.einsum("ij,ij->i", direction, normal), 0.05)
     mirrored: Reals = fresnel(np.clip(half @ sun, 0, 1)) * density / (4 * facing * up**4)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from nodegraph import Context, Forecast, Param, node, port_type
 from nodegraph_sparse.dictionary import BLOCK, Dictionary, SampledDictionary
-from nodegraph_sparse.metric import Metric
+from nodegraph_sparse.metric import Metric, mass
 from nodegraph_sparse.windows import SYMMETRIES, blocks, cut, half_side, moments, shaped, turn
 from nodegraph_terrain.forecasts import outline
 from nodegraph_terrain.raster import Elevation
@@ -80,6 +80,9 @@ def exemplar_dictionary(
     factor: Annotated[int, Param("Cells of this terrain for one of `cells`, along a side.", ge=1, le=64)] = 1,
     atoms: Annotated[int | None, Param("N: that many windows, drawn evenly; none: all of them.", ge=1)] = None,
     stride: Annotated[int, Param("From an atom to the next, along rows and columns.", ge=1, unit="cells")] = 4,
+    relief: Annotated[
+        float, Param("Least root mean square of a window about its mean: flatter ones show noise.", ge=0, unit="m")
+    ] = 0.0,
     symmetries: Annotated[bool, Param("Also take every atom turned and mirrored: eight times as many.")] = False,
     metric: Annotated[Metric, Param("In which atoms are normalised: as the patches to be coded.")] = "weighted",
     name: Annotated[str, Param("Of the terrain, among the sources of a dictionary.", min_length=1)] = "exemplar",
@@ -91,7 +94,8 @@ def exemplar_dictionary(
     The atoms are the windows of 2 R / cell by 2 R / cell cells at every `stride`-th row and column that lie within the
     terrain, each less its mean and divided by its norm in the metric.  The dictionary holds the map, and position, mean
     and norm of each atom (about 30 bytes); samples are cut out where they are asked for.  Flat windows (a norm below
-    1e-6 of the greatest) are left out.
+    1e-6 of the greatest) are left out, and so are those of less `relief`: on measured plains, what the instrument adds
+    is as high as the ground itself, and an atom of it makes cobbles on a mountain side.
 
     A multi-resolution dictionary of it is again a map with positions, the smaller one of reduced cells; it takes the
     least memory where the stride is a multiple of the factor.  To amplify a terrain by a factor, give its R in `cells`
@@ -104,6 +108,7 @@ def exemplar_dictionary(
         factor: that of ``sparse.multiresolution_dictionary``; 1 where the atoms describe terrain as fine as this.
         atoms: N, drawn without repetition among windows, and their turned and mirrored ones; all where there are less.
         stride: 1 takes every window there is.
+        relief: 0 keeps all that are not flat; for radar heights 10 to 20 m.
         symmetries: the eight of the square.  Turned light stays right, turned rivers and faults do not.
         metric: ``weighted`` by the blend or ``plain``.
         name: of the one source.
@@ -115,8 +120,8 @@ def exemplar_dictionary(
         follow, turn by turn.
 
     Raises:
-        ValueError: the terrain is in degrees, has voids, cells that are not square or less cells than an atom, or is
-            all flat; or the radius is stated twice or not at all, or is no whole number of cells.
+        ValueError: the terrain is in degrees, has voids, cells that are not square or less cells than an atom, or has
+            no window of that relief; or the radius is stated twice or not at all, or is no whole number of cells.
 
     Complexity: O(N K) for means and norms.
 
@@ -130,6 +135,12 @@ def exemplar_dictionary(
     kept = shaped(norms, means, size, metric)
     if not kept.any():
         raise ValueError("the terrain is flat; a dictionary needs some relief")
+    rough = norms / np.sqrt(mass(size, metric).sum())
+    kept &= rough >= relief
+    if not kept.any():
+        raise ValueError(
+            f"no window of the terrain has {relief:g} m of relief; the greatest is {rough.max():.4g} m, take less"
+        )
     corners, means, scales = corners[kept], means[kept], 1 / norms[kept]
     times = SYMMETRIES if symmetries else 1
     count = times * len(corners)

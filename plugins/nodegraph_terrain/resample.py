@@ -12,7 +12,7 @@ from nodegraph import Context, Forecast, Param, node, whole
 from nodegraph_terrain.blocks import row_blocks
 from nodegraph_terrain.forecasts import Outline, check_cells, outline
 from nodegraph_terrain.interpolation import REACH, spline_coefficients, without_voids
-from nodegraph_terrain.raster import Extent, Raster
+from nodegraph_terrain.raster import Extent, Grid, Raster
 
 T = TypeVar("T", bound=Raster)
 Method = Literal["bilinear", "cubic", "lanczos", "area"]
@@ -21,10 +21,14 @@ Method = Literal["bilinear", "cubic", "lanczos", "area"]
 @node(version=1, locality=whole)
 def resample(
     surface: T,
+    like: Grid | None = None,
     *,
     cell_size: Annotated[float | None, Param("Side of the new cells, in the unit of the extent.", gt=0)] = None,
     rows: Annotated[int | None, Param("New number of rows, instead of a cell size.", ge=1)] = None,
     columns: Annotated[int | None, Param("New number of columns, instead of a cell size.", ge=1)] = None,
+    factor: Annotated[
+        float | None, Param("Rows and columns for one of before, instead: 4 is finer, 0.25 coarser.", gt=0)
+    ] = None,
     method: Annotated[
         Method, Param("bilinear, cubic (B-spline) or lanczos for finer cells; area or lanczos for coarser ones.")
     ] = "cubic",
@@ -32,8 +36,10 @@ def resample(
 ) -> T:
     """Resample a raster to other cells over the same ground, in the same coordinate system.
 
-    With `rows` and `columns` the extent stays as it is.  With `cell_size` the new cells are squares of exactly that
-    side, laid from the north-west corner; what is left at the eastern and southern edge, less than a cell, is cut off.
+    With `rows` and `columns` the extent stays as it is, and so it does with `like`, which has the same extent and as
+    many rows and columns as are wanted.  With `cell_size` the new cells are squares of exactly that side, laid from the
+    north-west corner, and with `factor` cells 1 / `factor` times as wide and high as before; what is left at the
+    eastern and southern edge, less than a cell, is cut off.
 
     Values belong to cell centres.  Each method weighs the cells around a new centre along either axis, with weights
     that add up to one:
@@ -51,12 +57,14 @@ def resample(
     Masks, shades and slopes are clamped to the range of their role.
 
     Raises:
-        ValueError: neither a cell size nor rows and columns are stated, or the new cells are larger than the raster.
+        ValueError: the new cells are not stated, stated twice or larger than the raster, or `like` covers another
+            extent.
 
     References: Unser 1999, Splines: a perfect fit for signal and image processing, doi:10.1109/79.799930.
     Duchon 1979, Lanczos filtering in one and two dimensions, doi:10.1175/1520-0450(1979)018<1016:LFIOAT>2.0.CO;2.
     """
-    new = _target(surface.extent, cell_size, rows, columns)
+    grid = None if like is None else Outline(*like.shape, like.extent)
+    new = _target(Outline(*surface.shape, surface.extent), grid, cell_size, rows, columns, factor)
     check_cells(new.rows, new.cols)
     # Where the new extent ends, in cells of the old grid.
     span_y = surface.shape[0] * new.extent.height / surface.extent.height
@@ -95,36 +103,78 @@ def resample(
 
 @resample.forecast
 def _forecast(
-    surface: Forecast, *, cell_size: float | None, rows: int | None, columns: int | None, **_: object
+    surface: Forecast,
+    like: Forecast | None,
+    *,
+    cell_size: float | None,
+    rows: int | None,
+    columns: int | None,
+    factor: float | None,
+    **_: object,
 ) -> Forecast:
-    known = outline(surface)
-    if known is None:
+    known, grid = outline(surface), None if like is None else outline(like)
+    if known is None or (like is not None and grid is None):
         return Forecast(surface.bytes, surface.bytes, None)
     try:
-        new = _target(known.extent, cell_size, rows, columns)
+        new = _target(known, grid, cell_size, rows, columns, factor)
     except ValueError:
         return Forecast(0)
     predicted = new.forecast()
     return Forecast(predicted.bytes, known.rows * known.cols * 13 + (64 << 20), new)
 
 
-def _target(extent: Extent, cell_size: float | None, rows: int | None, columns: int | None) -> Outline:
-    """Return the new grid that the parameters state."""
-    if cell_size is None:
-        if rows is None or columns is None:
-            raise ValueError("state either cell_size, or rows and columns")
+def _target(
+    old: Outline,
+    like: Outline | None,
+    cell_size: float | None,
+    rows: int | None,
+    columns: int | None,
+    factor: float | None,
+) -> Outline:
+    """Return the new grid that the input or the parameters state."""
+    extent = old.extent
+    ways = [like is not None, cell_size is not None, rows is not None or columns is not None, factor is not None]
+    if sum(ways) > 1:
+        raise ValueError(
+            "a grid to resample to, cell_size, factor, and rows and columns state the same thing; give one of them"
+        )
+    if like is not None:
+        _require_same_ground(old, like)
+        return Outline(like.rows, like.cols, extent)
+    if rows is not None and columns is not None:
         return Outline(rows, columns, extent)
-    if rows is not None or columns is not None:
-        raise ValueError("cell_size and rows or columns state the same thing; give one of them")
+    if cell_size is not None:
+        wide = high = cell_size
+    elif factor is not None:
+        wide, high = extent.width / old.cols / factor, extent.height / old.rows / factor
+    else:
+        raise ValueError("state either cell_size, factor, or rows and columns; or link the grid to resample to")
     # A remainder of a millionth of a cell is rounding, not ground.
-    rows, columns = floor(extent.height / cell_size + 1e-6), floor(extent.width / cell_size + 1e-6)
+    rows, columns = floor(extent.height / high + 1e-6), floor(extent.width / wide + 1e-6)
     if rows < 1 or columns < 1:
         unit = extent.unit
         raise ValueError(
-            f"cell_size {cell_size:g} {unit} is larger than the raster of {extent.width:g} x {extent.height:g} {unit}"
+            f"cells of {wide:g} x {high:g} {unit} are larger than the raster of {extent.width:g} x {extent.height:g} "
+            f"{unit}; give smaller ones"
         )
-    east, south = extent.west + columns * cell_size, extent.north - rows * cell_size
+    east, south = extent.west + columns * wide, extent.north - rows * high
+    if factor is not None:  # nothing is cut off where only rounding is left
+        east = extent.east if extent.east - east < 1e-6 * wide else east
+        south = extent.south if south - extent.south < 1e-6 * high else south
     return Outline(rows, columns, Extent(extent.west, south, east, extent.north, extent.crs, extent.unit))
+
+
+def _require_same_ground(old: Outline, like: Outline) -> None:
+    """Raise `ValueError` unless both cover the same extent, within a thousandth of the smaller cells."""
+    a, b = old.extent, like.extent
+    dx, dy = a.width / max(old.cols, like.cols), a.height / max(old.rows, like.rows)
+    apart = max(abs(a.west - b.west) / dx, abs(a.east - b.east) / dx)
+    apart = max(apart, abs(a.south - b.south) / dy, abs(a.north - b.north) / dy)
+    if apart > 1e-3 or a.unit != b.unit or (a.crs and b.crs and a.crs != b.crs):
+        raise ValueError(
+            "the grid to resample to covers another extent than the surface, or in another system; crop or reproject "
+            "one to the other"
+        )
 
 
 def weights(old: int, new: int, span: float, method: Method) -> Any:

@@ -75,7 +75,7 @@ EXAMPLES: dict[str, list[Example]] = {
     "sparse.exemplar_dictionary": cases(
         {"radius": 40},
         {"radius": 20, "stride": 3, "symmetries": True, "metric": "plain", "name": "hills"},
-        {"cells": 2, "factor": 3, "atoms": 7, "stride": 1, "symmetries": True, "seed": 4},
+        {"cells": 2, "factor": 3, "atoms": 7, "stride": 1, "relief": 20, "symmetries": True, "seed": 4},
         surface=GROUND,
     ),
     "sparse.ksvd": [

@@ -183,6 +183,17 @@ def test_a_radius_in_cells_fits_terrain_of_any_cell_size(window):
             ask(window, radius=720.0, cells=8)
 
 
+def test_windows_of_little_relief_are_left_out(window):
+    every = exemplar_dictionary(window, cells=6, stride=5)
+    rough = 1 / every.scales / np.sqrt(mass(12, "weighted").sum())
+    least = float(np.median(rough))
+    some = exemplar_dictionary(window, cells=6, stride=5, relief=least)
+    np.testing.assert_array_equal(some.corners, every.corners[rough >= least])
+    assert 0 < some.count < every.count
+    with pytest.raises(ValueError, match=f"the greatest is {rough.max():.4g} m"):
+        exemplar_dictionary(window, cells=6, stride=5, relief=2 * float(rough.max()))
+
+
 def test_some_atoms_of_an_exemplar_are_drawn_among_all(window):
     every = exemplar_dictionary(window, cells=6, stride=7, symmetries=True)
     some = exemplar_dictionary(window, cells=6, stride=7, symmetries=True, atoms=50)

@@ -108,6 +108,8 @@ EXAMPLES: dict[str, list[Example]] = {
     "terrain.resample": [
         *cases({"cell_size": 20, "method": "bilinear"}, {"cell_size": 20, "method": "cubic"}, surface=SOLID),
         *cases({"cell_size": 50, "method": "area"}, {"cell_size": 45, "method": "lanczos"}, surface=HOLEY),
+        *cases({"factor": 1.7}, {"factor": 0.3, "method": "area"}, surface=SOLID),
+        *cases({}, {"method": "area"}, surface=SOLID, like=HOLEY),
     ],
     "terrain.sample_dem": [Example()],
     "terrain.save_elevation": [

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
@@ -177,8 +178,28 @@ def test_bad_calls_are_refused() -> None:
         resample(source, rows=4, cell_size=3.0)
     with pytest.raises(ValueError, match="larger than the raster of 530 x 370 m"):
         resample(source, cell_size=1e6)
+    with pytest.raises(ValueError, match="larger than the raster of 530 x 370 m"):
+        resample(source, factor=0.01)
+    with pytest.raises(ValueError, match="give one of them"):
+        resample(source, source, factor=2.0)
+    with pytest.raises(ValueError, match="covers another extent"):
+        resample(source, surface(ROUGH, cell=11.0))
     with pytest.raises(ValueError, match="choose larger cells"):
         resample(source, cell_size=1e-4)
+
+
+def test_a_grid_like_another_and_a_factor_state_what_rows_and_columns_do() -> None:
+    source = surface(ROUGH)
+    finer = resample(source, rows=4 * 37, columns=4 * 53)
+    for same in (resample(source, finer), resample(source, factor=4.0)):
+        assert astuple(same.extent) == astuple(finer.extent)
+        np.testing.assert_array_equal(same.data, finer.data)
+    back = resample(finer, source, method="area")
+    assert astuple(back.extent) == astuple(source.extent)
+    np.testing.assert_allclose(back.data, finer.data.reshape(37, 4, 53, 4).mean(axis=(1, 3)), rtol=1e-6)
+    third = resample(source, factor=1 / 3)
+    assert third.shape == (12, 17)
+    np.testing.assert_allclose(third.cell_size, 30)
 
 
 def test_the_forecast_is_right() -> None:
