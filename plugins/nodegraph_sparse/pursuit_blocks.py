@@ -20,8 +20,8 @@ from nodegraph_sparse.atoms import Atoms, Singles, norms, scaled
 from nodegraph_sparse.pursuit_host import ALL, Rows
 from nodegraph_sparse.pursuit_rules import DEPENDENT, NOISE, Floats, Indices, Preference, Rule
 
-TILE = 512, 2048
-"""Signals and atoms whose products are made at a time: 4 MB."""
+TILE = 4096, 1024
+"""Signals and atoms whose products are made at a time: 16 MB, as BLAS takes long to wake its threads for less."""
 
 PAIRS = 1 << 21
 """Numbers of atoms that are looked at closely at a time."""
@@ -71,6 +71,8 @@ class BlockSearch:
         basis = np.ascontiguousarray(self._basis[:, :used].transpose(1, 0, 2), np.float32)
         rounding = (4 * length**0.5 + 2) * 2.0**-24
         rows, cols = TILE
+        # Fresh memory for every tile would take longer than its products.
+        room = np.empty(rows * cols, np.float32)
         for start, block in self._atoms.blocks():
             lengths = norms(block)
             if not np.isfinite(lengths).all():
@@ -81,15 +83,25 @@ class BlockSearch:
                 for at in range(0, count, rows):
                     self._context.progress()
                     part = slice(at, min(at + rows, count))
-                    upper, slack = self._upper_bounds(part, first, residuals[part], basis[:, part], tile, rounding)
+                    upper, slack = self._upper_bounds(
+                        part, first, residuals[part], basis[:, part], tile, rounding, room
+                    )
                     self._decide(part, first, upper, slack, left[part], best, gains)
         return best, gains
 
     def _upper_bounds(
-        self, part: slice, first: int, residuals: Singles, basis: Singles, tile: Singles, rounding: float
+        self,
+        part: slice,
+        first: int,
+        residuals: Singles,
+        basis: Singles,
+        tile: Singles,
+        rounding: float,
+        room: Singles,
     ) -> tuple[Singles, float]:
         """Return what the roots of the gains do not exceed, as shares of the residuals' norms: a tile plus a slack."""
-        upper = residuals @ tile
+        shape = len(residuals), tile.shape[1]
+        upper = np.matmul(residuals, tile, out=room[: shape[0] * shape[1]].reshape(shape))
         if not self._rule.nonnegative:
             np.abs(upper, out=upper)
         if not len(basis) and self._weights is None:
