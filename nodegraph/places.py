@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 """The layout of the cache folder.  Each version has its own subfolder, so versions never meet."""
 
 ANSWERS = "answers"

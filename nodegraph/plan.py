@@ -184,10 +184,11 @@ class Plan:
         """Return what goes into the key of a resolved step, readable."""
         step = self.network.steps[index]
         digests = self.digests
-        inputs = tuple([(port, digests[source][output]) for port, source, output in step.inputs])  # type: ignore[index]
+        ports = tuple([port for port, _, _ in step.inputs])
+        inputs = b"".join([digests[source][output] for _, source, output in step.inputs])  # type: ignore[index]
         files = self._files_of(index) if step.files else _NO_FILES
         _, type_id, code, device = self._of_type(step)
-        return Recipe(type_id, step.node.version, code, step.canonical.decode(), inputs, files, device)
+        return Recipe(type_id, step.node.version, code, step.canonical.decode(), ports, inputs, files, device)
 
     def _files_of(self, index: int) -> dict[str, str]:
         files = {}

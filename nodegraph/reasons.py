@@ -17,8 +17,8 @@ NOT_STORED = "not stored, as it computes faster than it loads"
 def explain(old: Recipe, new: Recipe) -> str:
     """Return what changed from one recipe to the next, most telling first, joined with semicolons.
 
-    >>> a = Recipe("t.f", 1, "c", '{"sigma":40}', (("x", b"1"),), {}, "")
-    >>> explain(a, a._replace(params='{"sigma":60}', inputs=(("x", b"2"),)))
+    >>> a = Recipe("t.f", 1, "c", '{"sigma":40}', ("x",), b"1" * 16, {}, "")
+    >>> explain(a, a._replace(params='{"sigma":60}', inputs=b"2" * 16))
     'parameter sigma changed 40 -> 60; input x changed'
     """
     return "; ".join(_differences(old, new)) or EVICTED
@@ -49,10 +49,8 @@ def _differences(old: Recipe, new: Recipe) -> Iterator[str]:
 
 
 def _input_differences(old: Recipe, new: Recipe) -> Iterator[str]:
-    ports = dict.fromkeys([port for port, _ in new.inputs] + [port for port, _ in old.inputs])
-    for port in ports:
-        before = [digest for name, digest in old.inputs if name == port]
-        after = [digest for name, digest in new.inputs if name == port]
+    for port in dict.fromkeys(new.ports + old.ports):
+        before, after = old.links(port), new.links(port)
         if not before:
             yield f"input {port} is linked now"
         elif not after:

@@ -18,7 +18,8 @@ demanded step whose input is known but not at hand demands that input: it is loa
 
 Workers are plain daemon threads.  One that finishes a step takes the newest ready step itself, so a chain runs in one
 thread without hand-over, and depth comes before breadth, which keeps few values alive.  Others join once a node has run
-for two milliseconds, or nodes typically take a fifth of one: handing over trivial nodes would cost more than they do.
+for two milliseconds, or nodes typically take a fifth of one, and leave when that is over: handing over trivial nodes
+would cost more than they do.
 A step that does not answer to a cancel is left behind with its thread after a second: the run ends without it.
 """
 
@@ -275,6 +276,10 @@ class Scheduler:
         now = time.perf_counter() - self._zero
         return any(now - self._begun[index] > _LOOK_SECONDS for index in self._running)
 
+    def _crowded(self) -> bool:
+        """Say whether a worker does better to wait: another one runs trivial nodes, and two would only hinder it."""
+        return bool(self._running) and not self._worth_sharing()
+
     def _share(self) -> None:
         """Wake workers, and start more, while there is more to do than they take."""
         self._work_waits.notify(len(self._ready))
@@ -368,9 +373,9 @@ class Scheduler:
         try:
             with self._lock:
                 while True:
-                    while not self._ready and not self._over and self._crash is None:
+                    while not self._over and self._crash is None and (not self._ready or self._crowded()):
                         self._work_waits.wait()
-                    if not self._ready or self._cancel.is_set():
+                    if not self._ready or self._over or self._crash is not None or self._cancel.is_set():
                         return
                     index = self._ready.pop()
                     if self._status[index] is not None:

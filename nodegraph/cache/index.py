@@ -74,17 +74,23 @@ def load_seconds(size: int) -> float:
 class Recipe(NamedTuple):
     """All that went into a key, readable: what the reasons of the next run are made from.
 
-    ``code`` is the fingerprint as hex, ``params`` JSON text, ``inputs`` (port, value digest) of each link, ``files``
-    digest and name of each file read by parameter, ``device`` the class of the device or empty.
+    ``code`` is the fingerprint as hex, ``params`` JSON text, ``ports`` the input of each link and ``inputs`` the value
+    digests there, 16 bytes each, one after the other (thousands of recipes are held, most of them with several links),
+    ``files`` digest and name of each file read by parameter, ``device`` the class of the device or empty.
     """
 
     type: str
     version: int
     code: str
     params: str
-    inputs: tuple[tuple[str, bytes], ...]
+    ports: tuple[str, ...]
+    inputs: bytes
     files: Mapping[str, str]
     device: str
+
+    def links(self, port: str) -> list[bytes]:
+        """Return the value digests that come in at a port, in order."""
+        return [self.inputs[16 * place : 16 * place + 16] for place, name in enumerate(self.ports) if name == port]
 
 
 class Record(NamedTuple):
@@ -119,8 +125,8 @@ class Record(NamedTuple):
     def body(self) -> bytes:
         """Return the record as JSON bytes, without its key."""
         digests = [digest.hex() for digest in self.digests]
-        type_id, version, code, params, inputs, files, device = self.recipe
-        recipe = (type_id, version, code, params, [(port, value.hex()) for port, value in inputs], files, device)
+        type_id, version, code, params, ports, inputs, files, device = self.recipe
+        recipe = (type_id, version, code, params, ports, inputs.hex(), files, device)
         data = (
             digests,
             self.sizes,
@@ -137,7 +143,7 @@ class Record(NamedTuple):
     def parse(cls, key: bytes, body: bytes) -> Record:
         """Return the record that `body` describes."""
         digests, sizes, seconds, restore, files, recipe, peak, shapes = orjson.loads(body)
-        type_id, version, code, params, inputs, read, device = recipe
+        type_id, version, code, params, ports, inputs, read, device = recipe
         return cls(
             key,
             tuple(bytes.fromhex(item) for item in digests),
@@ -145,9 +151,7 @@ class Record(NamedTuple):
             seconds,
             restore,
             tuple((name, size, digest) for name, size, digest in files),
-            Recipe(
-                type_id, version, code, params, tuple((p, bytes.fromhex(value)) for p, value in inputs), read, device
-            ),
+            Recipe(type_id, version, code, params, tuple(ports), bytes.fromhex(inputs), read, device),
             peak,
             tuple(shapes),
         )

@@ -15,6 +15,8 @@ from operator import itemgetter
 from xxhash import xxh3_128_digest
 
 _PORT = itemgetter(0)
+_SIXTEEN = (16).to_bytes(4, "little")
+"""How long a digest is: there is one for every link, so it is not made anew."""
 
 SCHEMA = 2
 """Raised when keys come to mean something else; older results are then never found again.
@@ -42,16 +44,20 @@ def key(
     """
     parts = [_framed(prefix), _framed(canonical)]
     for port, digest in sorted(inputs, key=_PORT):
-        parts += (_framed_name(port), _framed(digest))
+        parts += (_framed_name(port), _SIXTEEN if len(digest) == 16 else _length(digest), digest)
     if files:
         for name in sorted(files):
             parts += (_framed_name("file " + name), _framed(files[name]))
     return xxh3_128_digest(b"".join(parts))
 
 
-def _framed(part: bytes) -> bytes:
+def _length(part: bytes) -> bytes:
     # Each part is led by its length, so that no two lists of parts give the same bytes.
-    return len(part).to_bytes(4, "little") + part
+    return len(part).to_bytes(4, "little")
+
+
+def _framed(part: bytes) -> bytes:
+    return _length(part) + part
 
 
 @cache

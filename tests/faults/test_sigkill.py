@@ -17,6 +17,7 @@ import pytest
 
 from nodegraph.cache import Cache
 from nodegraph.codec import seal
+from nodegraph.places import CACHE_VERSION
 from tests.faults import worker
 from tests.faults.processes import Job, Nursery
 
@@ -203,7 +204,7 @@ def test_killed_while_storing_values(tmp_path: Path, nursery: Nursery, kills: in
         assert job.kill(0.02 + 0.04 * dice.random())
         assert other.kill(0.02 + 0.05 * dice.random())
         assert (job.stderr, other.stderr) == ("", "")
-    assert any((tmp_path / "v1" / "values").rglob("*.h5"))
+    assert any((tmp_path / f"v{CACHE_VERSION}" / "values").rglob("*.h5"))
     assert_cache_is_sound(tmp_path)
 
 

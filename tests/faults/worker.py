@@ -196,7 +196,7 @@ def records(number: int) -> list[Record]:
     found = []
     for place in range(1 + number % 40):
         key = hashlib.md5(f"{number} {place}".encode()).digest()
-        recipe = Recipe("fault.field", 1, key.hex(), key.hex() * 8, (("values", key),), {}, "")
+        recipe = Recipe("fault.field", 1, key.hex(), key.hex() * 8, ("values",), key, {}, "")
         found.append(Record(key, (key[::-1],), (number,), 0.001, 0.001, (), recipe))
     return found
 
@@ -210,7 +210,7 @@ def store(graph: Graph, job: dict[str, Any]) -> int:
     while True:
         value = dice.standard_normal((3, 40_000))
         content = seal(value)
-        recipe = Recipe("fault.field", 1, "", "", (), {}, "")
+        recipe = Recipe("fault.field", 1, "", "", (), b"", {}, "")
         cache.keep(Record(content, (content,), (value.nbytes,), 5.0, 5.0, (), recipe), [value])
 
 

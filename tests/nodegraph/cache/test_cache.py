@@ -15,7 +15,7 @@ import pytest
 from nodegraph import Graph
 from nodegraph.cache import Cache, default_cache, physical_memory
 from nodegraph.cache.store import ValueStore
-from nodegraph.places import default_cache_folder
+from nodegraph.places import CACHE_VERSION, default_cache_folder
 from tests.nodegraph import support as toy
 
 
@@ -34,7 +34,7 @@ def stored(count: int = 3, size: int = 8) -> Graph:
 
 
 def files(folder: Path) -> list[Path]:
-    return sorted((folder / "v1" / "values").rglob("*.h5"))
+    return sorted((folder / f"v{CACHE_VERSION}" / "values").rglob("*.h5"))
 
 
 def filled(folder: Path, **options: Any) -> list[Path]:
@@ -164,7 +164,7 @@ def test_values_that_cannot_be_removed_stop_nothing(tmp_path: Path) -> None:
 
 def test_values_the_index_lost_are_taken_up(tmp_path: Path) -> None:
     paths = filled(tmp_path)
-    (tmp_path / "v1" / "index.sqlite").unlink()
+    (tmp_path / f"v{CACHE_VERSION}" / "index.sqlite").unlink()
     cache = Cache(tmp_path)
     assert cache.summary().values == 3
     assert cache.collect(budget=0) > 0

@@ -15,6 +15,7 @@ from xxhash import xxh3_64_digest
 
 from nodegraph.cache import Cache
 from nodegraph.cache.index import Index, Recipe, Record
+from nodegraph.places import CACHE_VERSION
 from tests.nodegraph import support as toy
 
 
@@ -26,7 +27,7 @@ def _quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
 
 
 def record(number: int, **changes: Any) -> Record:
-    recipe = Recipe("t.f", 1, "c0de", '{"p":1}', (("x", bytes([number % 256]) * 16),), {"path": "ab words.txt"}, "")
+    recipe = Recipe("t.f", 1, "c0de", '{"p":1}', ("x",), bytes([number % 256]) * 16, {"path": "ab words.txt"}, "")
     fields: dict[str, Any] = {
         "key": number.to_bytes(16, "little"),
         "digests": (bytes([number % 256]) * 16, b"\1" * 16),
@@ -185,7 +186,7 @@ def test_flipped_bytes_in_the_index(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     """The database and its write-ahead log: no result is ever wrong, and nothing is raised."""
     monkeypatch.setattr("tests.nodegraph.support.time.sleep", lambda seconds: None)
     outputs = filled(tmp_path / "whole")
-    folder = tmp_path / "whole" / "v1"
+    folder = tmp_path / "whole" / f"v{CACHE_VERSION}"
     database = (folder / "index.sqlite").read_bytes()
     used = [
         position for position in range(0, len(database), stride) if any(database[max(0, position - 60) : position + 60])
@@ -197,7 +198,7 @@ def test_flipped_bytes_in_the_index(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         database[: len(database) // 2],
         b"",
     ]:
-        target = place / "v1"
+        target = place / f"v{CACHE_VERSION}"
         target.mkdir(parents=True, exist_ok=True)
         for path in target.glob("index.sqlite*"):
             path.unlink()
@@ -214,11 +215,11 @@ def test_flipped_bytes_in_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     keep = Cache(source, memory_budget=0)
     run(keep)
     keep.flush()
-    log = (source / "v1" / "index.sqlite-wal").read_bytes()
-    database = (source / "v1" / "index.sqlite").read_bytes()
+    log = (source / f"v{CACHE_VERSION}" / "index.sqlite-wal").read_bytes()
+    database = (source / f"v{CACHE_VERSION}" / "index.sqlite").read_bytes()
     keep.close()
     assert len(log) > 10_000
-    place = tmp_path / "damaged" / "v1"
+    place = tmp_path / "damaged" / f"v{CACHE_VERSION}"
     place.mkdir(parents=True)
     for content in [*damaged_copies(log, range(0, len(log), 1499)), log[:5000], log[:31]]:
         for path in place.glob("index.sqlite*"):
@@ -231,7 +232,7 @@ def test_flipped_bytes_in_the_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_odd_rows_in_the_list_of_stored_values(tmp_path: Path) -> None:
     """That table has no checksum: whatever stands there may cost time only."""
     outputs = filled(tmp_path)
-    path = tmp_path / "v1" / "index.sqlite"
+    path = tmp_path / f"v{CACHE_VERSION}" / "index.sqlite"
     connection = sqlite3.connect(path)
     odd = ["x", b"x", float("inf"), 1e308, -1e308, 2**62]
     for number, value in enumerate(odd):
@@ -249,7 +250,7 @@ def test_damage_while_it_is_open(tmp_path: Path) -> None:
     run(cache)
     cache.flush()
     for name in ("index.sqlite", "index.sqlite-wal"):
-        path = tmp_path / "v1" / name
+        path = tmp_path / f"v{CACHE_VERSION}" / name
         path.write_bytes(b"\xff" * path.stat().st_size)
     cache._records.clear()
     run(cache)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from nodegraph import __version__
+from nodegraph.places import CACHE_VERSION
 
 
 def lines(text: str) -> list[str]:
@@ -300,10 +301,10 @@ def test_cache_commands(cli, pair, tmp_path):
     assert not folder.exists()
     cli("run", pair)
     out = cli("cache", "info").out
-    assert str(folder / "v1") in out
+    assert str(folder / f"v{CACHE_VERSION}") in out
     assert any(line.split() == ["results", "3"] for line in lines(out))
     assert cli("cache", "verify").out == "all is right\n"
-    for path in folder.glob("v1/values/*/*.h5"):
+    for path in folder.glob(f"v{CACHE_VERSION}/values/*/*.h5"):
         path.write_bytes(path.read_bytes()[:-1])
     done = cli("cache", "verify")
     assert "the checksum does not match; removed" in done.out

@@ -13,12 +13,12 @@ import pytest
 
 from nodegraph.cache import Cache
 from nodegraph.cli import direct
-from nodegraph.places import ANSWERS
+from nodegraph.places import ANSWERS, CACHE_VERSION
 
 
 @pytest.fixture
 def cache(tmp_path: Path) -> Path:
-    return tmp_path / "cache" / "v1"
+    return tmp_path / "cache" / f"v{CACHE_VERSION}"
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def test_the_second_call_is_answered_directly_and_says_the_same(cli, pair, answe
     assert answered()
     assert first.status == 0
     assert not first.err
-    shutil.rmtree(Path(os.environ["NODEGRAPH_CACHE_DIR"]) / "v1" / ANSWERS)
+    shutil.rmtree(Path(os.environ["NODEGRAPH_CACHE_DIR"]) / f"v{CACHE_VERSION}" / ANSWERS)
     whole = cli("run", pair)
     assert not answered()
     assert headline(first.out) == headline(whole.out) == "3 nodes: 3 cached"

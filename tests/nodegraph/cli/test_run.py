@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from nodegraph.places import CACHE_VERSION
+
 
 def lines(text: str) -> list[str]:
     return text.splitlines()
@@ -106,7 +108,7 @@ def test_targets_out_and_no_cache(cli, pair, ran, tmp_path):
 
 def test_cache_dir_is_used(cli, pair, tmp_path):
     cli("run", pair, "--cache-dir", tmp_path / "other")
-    assert (tmp_path / "other" / "v1" / "index.sqlite").exists()
+    assert (tmp_path / "other" / f"v{CACHE_VERSION}" / "index.sqlite").exists()
     assert not (tmp_path / "cache").exists()
     assert "3 cached" in cli("run", pair, "--cache-dir", tmp_path / "other").out
 
@@ -205,7 +207,7 @@ def test_a_cache_that_cannot_be_written_costs_a_warning(cli, pair):
 
 def test_a_damaged_index_costs_a_warning(cli, pair, tmp_path):
     cli("run", pair)
-    for path in (tmp_path / "cache" / "v1").glob("index.sqlite*"):
+    for path in (tmp_path / "cache" / f"v{CACHE_VERSION}").glob("index.sqlite*"):
         path.write_bytes(b"no database" * 100)
     done = cli("run", pair)
     assert done.status == 0
