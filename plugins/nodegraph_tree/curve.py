@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
-from math import floor, hypot, inf
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from math import floor, inf
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import numpy.typing as npt
 
 from nodegraph import Param, node, port_type
 from nodegraph_tree import profile
+from nodegraph_tree.curve_bounds import bounds, reached, reaching, see
 from nodegraph_tree.device import FOLDER, Kernel, Parameters, Pending
 from nodegraph_tree.disc import Relief, relief_parameters
-from nodegraph_tree.falloff import CODES, FallOff, derivative, fall_off, steepest_between
+from nodegraph_tree.falloff import CODES, FallOff, derivative, fall_off
 from nodegraph_tree.function import (
-    ABSENT,
     THRESHOLD,
     Bounds,
     Box,
@@ -29,7 +28,7 @@ from nodegraph_tree.function import (
 from nodegraph_tree.geometry import CurveKind
 from nodegraph_tree.layout import Line, Stations, line_of, spread, stations
 from nodegraph_tree.profile import Section, Shape
-from nodegraph_tree.skeleton import TURN, WINDOW, Found, Skeleton, skeleton
+from nodegraph_tree.skeleton import WINDOW, Found, Skeleton, skeleton
 
 if TYPE_CHECKING:
     from nodegraph_tree.device import Emitter, Frame, Shared
@@ -42,34 +41,6 @@ _ROUGH = Kernel("tree_curve_rough", FOLDER / "curve.cl")
 
 _DENSE = 1 << 20
 """Pairs of a point and an arc that are evaluated at a time."""
-
-
-class Seen(NamedTuple):
-    """The arcs that matter in a box, and what is known of them at its middle.
-
-    Attributes:
-        arcs: all that matter for anything.
-        half: distance from the middle of the box to its corners, m.
-        near, far: bounds of the distance to the curve in the box, m.
-        found: projections of the middle.
-        height, height_slope: (m,) at the middle and its bound of |grad z_i|.
-        up, down: which can be the best, of the height's minima and maxima.
-        place, place_slope, place_up, place_down: the same of the place.
-    """
-
-    arcs: Ints
-    half: float
-    near: float
-    far: float
-    found: Found
-    height: Floats
-    height_slope: Floats
-    up: npt.NDArray[np.bool_]
-    down: npt.NDArray[np.bool_]
-    place: Floats
-    place_slope: Floats
-    place_up: npt.NDArray[np.bool_]
-    place_down: npt.NDArray[np.bool_]
 
 
 @port_type
@@ -104,8 +75,18 @@ class Curve(ElevationFunction):
         return self.skeleton.extent.grown(self.skeleton.radius)
 
     @cached_property
-    def _symmetric(self) -> bool:
+    def symmetric(self) -> bool:
+        """True where no cross-section differs from left to right."""
         return all(item.symmetric for item in self.sections)
+
+    @cached_property
+    def brim(self) -> float:
+        """The greatest t with g(t) >= T: up to there is ground."""
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if fall_off(self.fall_off, np.array(middle)) >= THRESHOLD else (low, middle)
+        return high
 
     # Evaluation.
 
@@ -121,7 +102,7 @@ class Curve(ElevationFunction):
         slopes = (np.zeros((2, *height.shape)), np.zeros((2, *height.shape))) if gradient else None
         for group in self._groups(points, places):
             x, y = points.x[group], points.y[group]
-            arcs = self._reaching(Box(float(x.min()), float(y.min()), float(x.max()), float(y.max())))
+            arcs = reaching(self, Box(float(x.min()), float(y.min()), float(x.max()), float(y.max())))
             if not len(arcs):
                 continue
             step = max(1, _DENSE // len(arcs))
@@ -209,7 +190,7 @@ class Curve(ElevationFunction):
     def _side(self, found: Found, d: Floats, nearest: Ints) -> tuple[Floats, Floats | None]:
         """Return which side of the curve points are on, -1 to 1."""
         gradient = found.distance_gradient
-        if self._symmetric:
+        if self.symmetric:
             return np.zeros(len(d)), None if gradient is None else np.zeros((2, len(d)))
         rows = np.arange(len(d))
         window = np.maximum(WINDOW * d, 1e-300)
@@ -245,7 +226,7 @@ class Curve(ElevationFunction):
                 share = (place[where] - index if step else 1 - (place[where] - index)) if last else 1.0
                 item = self.sections[index + step]
                 left, left_rate = profile.evaluate(item.left, d[where])
-                if self._symmetric:
+                if self.symmetric:
                     value[where] += share * left
                     rate[where] += share * left_rate
                     by_place[where] += sign * left
@@ -267,224 +248,9 @@ class Curve(ElevationFunction):
         rate = table[below + 1] - table[below]
         return table[below] + (place - below) * rate, rate
 
-    # What a box can see.
-
-    def _reaching(self, box: Box) -> Ints:
-        """Return the arcs that matter in a box."""
-        arcs = self.skeleton.near(box, 2 * self.skeleton.radius)
-        if len(arcs) <= 8:
-            return arcs
-        return self._seen(box, arcs).arcs
-
-    def _seen(self, box: Box, arcs: Ints) -> Seen:
-        """Drop the arcs that cannot matter in a box.
-
-        Everything that is compared is Lipschitz, so its value at the middle bounds it: distances with constant 1,
-        z_i + L d_i with |grad z_i| + L.  An arc that at its best is worse than another at its worst is dropped.
-        """
-        bone, radius = self.skeleton, self.skeleton.radius
-        x, y = 0.5 * (box.west + box.east), 0.5 * (box.south + box.north)
-        half = 0.5 * hypot(box.east - box.west, box.north - box.south)
-        found = bone.project(np.array([x]), np.array([y]), arcs, gradient=True)
-        d = found.distance[0]
-        nearest = float(d.min(initial=inf))
-        near, far = max(nearest - half, 0.0), nearest + half
-        turned = bone.turned(arcs, x, y, half)
-        window = (1 + WINDOW) if not self._symmetric else 1.0
-        keep = d - half <= window * far
-        sure = d + half < 2 * radius
-        height = bone.heights(found.along, arcs)[0][0]
-        place = bone.place[arcs].mean(axis=1) + bone.place_slopes[arcs] * found.along[0]
-        sets = []
-        for value, rate, lift in (
-            (height, bone.grades[arcs] * turned, bone.lifts[0]),
-            (place, np.abs(bone.place_slopes[arcs]) * turned, bone.lifts[1]),
-        ):
-            swing = (rate + lift) * half
-            up, down = value + lift * d, value - lift * d
-            best = (up + swing)[sure].min(initial=inf)
-            worst = (down - swing)[sure].max(initial=-inf)
-            reached = d - half < 2 * radius
-            sets.append((rate, (up - swing <= best) & reached, (down + swing >= worst) & reached))
-        (height_slope, up, down), (place_slope, place_up, place_down) = sets
-        keep = keep | up | down
-        if len(self.sections) > 1:
-            keep = keep | place_up | place_down
-        return Seen(
-            arcs[keep], half, near, far,
-            Found(*(None if item is None else item[..., keep] for item in found)),  # type: ignore[arg-type]
-            height[keep], height_slope[keep], up[keep], down[keep],
-            place[keep], place_slope[keep], place_up[keep], place_down[keep],
-        )  # fmt: skip
-
     def bounds(self, box: Box, detail: float = 1.0) -> Bounds:
-        r"""Bound everything in a box.
-
-        |grad f| <= |grad z| + |c'| + |dc/dplace| |grad place| + |dc/dside| |grad side| + |grad relief|.  The module of
-        the skeleton bounds the continued fields: |grad z| <= max |grad z_i| + L.  A box that is small beside r is
-        bounded by the arcs that can be the best in it: where the same arc is best both ways, or arcs in nearly the
-        same direction, L cancels: the second term is L/2 |grad d_i - grad d_k|, and grad d_i turns by at most 1 / d_i
-        per metre (by 1 over the distance to its centre inside an arc).  |dc/dside| |grad side| <= `TURN` |c_left -
-        c_right| / (2 d), and 0 where a box sees one side only.  Everything else is an exact extreme over the range of
-        distances.
-        """
-        bone, radius = self.skeleton, self.skeleton.radius
-        part = box.intersection(self.support)
-        if part.empty:
-            return ABSENT
-        arcs = bone.near(part, 2 * radius)
-        if not len(arcs):
-            return ABSENT
-        half = 0.5 * hypot(part.east - part.west, part.north - part.south)
-        last = len(self.sections) - 1
-        one_sided = 0
-        if half <= 2 * radius and len(arcs) <= 20000:
-            seen = self._seen(part, arcs)
-            if seen.near >= radius:
-                return ABSENT
-            near, far = seen.near, seen.far
-            low, high = _range(seen.height, seen.height_slope * half, bone.reaches[seen.arcs], seen.up | seen.down)
-            slope = self._slope(seen, seen.height_slope, seen.up, seen.down, bone.lifts[0], part)
-            first, final, place_slope = 0.0, 0.0, 0.0
-            if last:
-                first, final = _range(
-                    seen.place, seen.place_slope * half, bone.places[seen.arcs], seen.place_up | seen.place_down
-                )
-                place_slope = self._slope(seen, seen.place_slope, seen.place_up, seen.place_down, bone.lifts[1], part)
-            one_sided = self._one_side(seen, part)
-        else:
-            gap = bone.boxes[arcs]
-            dx = np.maximum(np.maximum(gap[:, 0] - part.east, part.west - gap[:, 2]), 0.0)
-            dy = np.maximum(np.maximum(gap[:, 1] - part.north, part.south - gap[:, 3]), 0.0)
-            near, far = float(np.hypot(dx, dy).min()), inf
-            if near >= radius:
-                return ABSENT
-            low, high = float(bone.reaches[arcs, 0].min()), float(bone.reaches[arcs, 1].max())
-            slope = float((bone.grades * bone.anywhere)[arcs].max()) + bone.lifts[0]
-            first, final = float(bone.places[arcs, 0].min()), float(bone.places[arcs, 1].max())
-            place_slope = float((np.abs(bone.place_slopes) * bone.anywhere)[arcs].max()) + bone.lifts[1]
-        stations = range(floor(min(max(first, 0.0), last)), min(floor(min(max(final, 0.0), last)) + 1, last) + 1)
-        radii, cores = ([float(values[k]) for k in stations] for values in (self.radii, self.cores))
-        widths = [r - c for r, c in zip(radii, cores, strict=True)]
-        if near >= max(radii):
-            return ABSENT
-        far = min(far, max(radii))
-        steps = [abs(b - a) for a, b in pairwise(cores)]
-        broader = [abs(b - a) for a, b in pairwise(widths)]
-        t0 = max(near - max(cores), 0.0) / (max(radii) - max(cores))
-        t1 = min(max(far - min(cores), 0.0) / (min(radii) - min(cores)), 1.0)
-        if t0 >= 1:
-            return ABSENT
-        least, most = fall_off(self.fall_off, np.array([t1, t0])).tolist()
-        turn = 1 + place_slope * (max(steps, default=0.0) + max(broader, default=0.0))
-        weight_slope = steepest_between(self.fall_off, t0, t1) * turn / min(widths)
-        c_low, c_high, c_slope = self._section_bounds(stations, near, far, place_slope, one_sided)
-        rough_low, rough_high, rough = self.relief.bounds(
-            Box(
-                part.west - self.origin[0],
-                part.south - self.origin[1],
-                part.east - self.origin[0],
-                part.north - self.origin[1],
-            ),
-            detail,
-        )
-        full = slope + c_slope + rough
-        ground = full
-        terrain = max(cores) + self._terrain * (max(radii) - max(cores))
-        if terrain < far:
-            ground = 0.0
-            if terrain >= near:
-                ground = slope + rough + self._section_bounds(stations, near, terrain, place_slope, one_sided)[2]
-        return Bounds(
-            low + c_low + rough_low, high + c_high + rough_high, least, most, ground, weight_slope, most * full, full
-        )
-
-    @cached_property
-    def _terrain(self) -> float:
-        """The greatest t with g(t) >= T."""
-        low, high = 0.0, 1.0
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if fall_off(self.fall_off, np.array(middle)) >= THRESHOLD else (low, middle)
-        return high
-
-    def _section_bounds(
-        self, stations: range, near: float, far: float, place_slope: float, one_sided: int
-    ) -> tuple[float, float, float]:
-        """Return least and greatest c, and the greatest slope that it adds."""
-        low, high, slope = inf, -inf, 0.0
-        for k in stations:
-            item = self.sections[k]
-            sides = [item.left] if one_sided > 0 or self._symmetric else [item.right]
-            if not one_sided and not self._symmetric:
-                sides.append(item.left)
-            found = [profile.extremes(pieces, near, far) for pieces in sides]
-            low, high = min(low, *(c[0] for c in found)), max(high, *(c[1] for c in found))
-            steep = max(c[2] for c in found)
-            if len(sides) == 2:
-                steep += TURN * profile.steepest_chord(profile.difference(item.left, item.right), near, far) / 2
-            slope = max(slope, steep)
-        change = 0.0
-        for k in stations[:-1] if place_slope else ():
-            for a, b in (
-                (self.sections[k].left, self.sections[k + 1].left),
-                (self.sections[k].right, self.sections[k + 1].right),
-            ):
-                apart = profile.extremes(profile.difference(a, b), near, far)
-                change = max(change, -apart[0], apart[1])
-        return low, high, slope + change * place_slope
-
-    def _slope(
-        self,
-        seen: Seen,
-        rates: Floats,
-        up: npt.NDArray[np.bool_],
-        down: npt.NDArray[np.bool_],
-        lift: float,
-        box: Box,
-    ) -> float:
-        """Bound the slope of a continued field in a box."""
-        first, second = np.flatnonzero(up), np.flatnonzero(down)
-        own = float(rates[up | down].max(initial=0.0))
-        if lift == 0 or (len(first) == len(second) == 1 and first[0] == second[0]):
-            return own
-        if len(first) * len(second) > 2500 or seen.found.distance_gradient is None:
-            return own + lift
-        x, y = 0.5 * (box.west + box.east), 0.5 * (box.south + box.north)
-        mx, my, tx, ty, k, *_ = (item[seen.arcs] for item in self.skeleton.frames)
-        u = 1 - k * ((y - my) * tx - (x - mx) * ty) - np.abs(k) * seen.half
-        clear = seen.found.distance[0] - seen.half
-        with np.errstate(divide="ignore", invalid="ignore"):
-            bent = np.where((clear > 0) & (u > 0), np.maximum(1 / clear, np.abs(k) / u), inf)
-        gradient = seen.found.distance_gradient[:, 0]
-        one, two = gradient[:, first], gradient[:, second]
-        apart = np.hypot(one[0][:, None] - two[0], one[1][:, None] - two[1])
-        apart = apart + seen.half * (bent[first][:, None] + bent[second])
-        apart[first[:, None] == second] = 0.0
-        return own + 0.5 * lift * min(float(apart.max()), 2.0)
-
-    def _one_side(self, seen: Seen, box: Box) -> int:
-        """Return 1 or -1 where a box lies left or right of all arcs that count for the side, else 0.
-
-        The sine turns by at most 1 / d_i per metre, except at the back of an arc; from 1/2 on it means the side itself.
-        """
-        if self._symmetric or seen.near <= 0:
-            return 0
-        x, y = 0.5 * (box.west + box.east), 0.5 * (box.south + box.north)
-        d = seen.found.distance[0]
-        counts = d - seen.half <= (1 + WINDOW) * seen.far
-        mx, my, tx, ty, k, *_ = (item[seen.arcs][counts] for item in self.skeleton.frames)
-        u = 1 - k * ((y - my) * tx - (x - mx) * ty) - np.abs(k) * seen.half
-        if (u <= 0).any():
-            return 0
-        side, d = seen.found.side[0][counts], d[counts]
-        swing = seen.half / np.maximum(d - seen.half, 1e-300)
-        first = d - seen.half <= seen.far
-        for sign in (1, -1):
-            least = sign * side - swing
-            if (least >= 0).all() and (least[first] >= 0.5).all():
-                return sign
-        return 0
+        """Bound everything in a box; `nodegraph_tree.curve_bounds` says how."""
+        return bounds(self, box, detail)
 
     # On the device.
 
@@ -492,14 +258,14 @@ class Curve(ElevationFunction):
         """Emit the arcs and the sections that matter in the tile, relative to its origin."""
         bone, radius = self.skeleton, self.skeleton.radius
         arcs = bone.near(frame.box, 2 * radius) if self.support.meets(frame.box) else np.zeros(0, np.int64)
-        seen = self._seen(frame.box, arcs) if len(arcs) else None
+        seen = see(self, frame.box, arcs) if len(arcs) else None
         if seen is None or seen.near >= radius:
             emitter.nothing()
             return
         arcs, last = seen.arcs, len(self.sections) - 1
         first, final = 0, 0
         if last:
-            places = _range(
+            places = reached(
                 seen.place, seen.place_slope * seen.half, bone.places[arcs], seen.place_up | seen.place_down
             )
             first, final = (min(max(floor(value), 0), last) for value in places)
@@ -516,9 +282,9 @@ class Curve(ElevationFunction):
         left, right = (max(len(getattr(self.sections[j], side)) for j in chosen) for side in ("left", "right"))
         for j in chosen:
             floats += [self.radii[j], self.cores[j], *_padded(self.sections[j].left, left)]
-            if not self._symmetric:
+            if not self.symmetric:
                 floats += _padded(self.sections[j].right, right)
-        ints = [len(arcs), first, len(chosen), left, 0 if self._symmetric else right, CODES[self.fall_off]]
+        ints = [len(arcs), first, len(chosen), left, 0 if self.symmetric else right, CODES[self.fall_off]]
         emitter.add(_CURVE, floats, ints)
         if self.relief.noise is not None:
             emitter.add(_ROUGH, Pending(_rough, self, frame.ox, frame.oy), pushes=0)
@@ -533,12 +299,6 @@ def _rough(curves: Sequence[Curve], x: Floats, y: Floats, shared: Shared) -> Par
 def _padded(pieces: Floats, count: int) -> list[float]:
     """Return pieces as numbers, the last one repeated."""
     return [float(value) for index in range(count) for value in pieces[min(index, len(pieces) - 1)]]
-
-
-def _range(value: Floats, swing: Floats, reaches: Floats, where: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the least and greatest value of the arcs that can be the best."""
-    low, high = np.maximum(value - swing, reaches[:, 0])[where], np.minimum(value + swing, reaches[:, 1])[where]
-    return float(low.min(initial=inf)), float(high.max(initial=-inf))
 
 
 # The node.
