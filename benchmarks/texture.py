@@ -8,12 +8,15 @@ chooses.
 classes by rectangles, and functions of altitude and slope from where these lie.  The paper reports 2.0 s for the first
 and 0.7 s for the rest, on a Pentium 4 of 3.4 GHz.
 
+`solar` sums up the sun of a year over mountains of `size` / 4 cells a side, with cast shadows from 32 directions, and
+prints how much longer NumPy takes than the device.
+
 `tiles` flies through the valley of a texture of 32,768 x 32,768 texels, a picture of 1280 x 720 pixels at a time, and
 prints the bytes and seconds of the tiles that the first view needs and of those that are new in later ones, beside
 those of the whole.  The paper's view took 40 MB for the same size.  Seconds of the whole are those of a part of 2048 x
 2048 texels, times how often it fits.
 
-    uv run --group bench python benchmarks/texture.py [apply] [fit] [tiles] [--size 4096] [--repeat 3]
+    uv run --group bench python benchmarks/texture.py [apply] [fit] [solar] [tiles] [--size 4096] [--repeat 3]
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from typing import Any
 import numpy as np
 
 from nodegraph import Context
-from nodegraph.opencl import choose
+from nodegraph.opencl import choose, to_device, to_host
 from nodegraph_terrain.noise_raster import noise
 from nodegraph_terrain.raster import Elevation, Extent, Image
 from nodegraph_texture.apply_opencl import evaluate_on_device
@@ -40,6 +43,7 @@ from nodegraph_texture.layer import layer
 from nodegraph_texture.layers import SurfaceLayers
 from nodegraph_texture.quantities import Temperature
 from nodegraph_texture.scene import scene_of
+from nodegraph_texture.solar_radiation import solar_radiation
 from nodegraph_texture.texture_tiles import texture_tiles
 from nodegraph_texture.tile_cache import TileCache
 from nodegraph_texture.tile_tree import Tile
@@ -119,6 +123,35 @@ def fit(size: int, repeat: int) -> None:  # noqa: ARG001
         print(f"  {rule:12} constraint functions {learning:6.3f} s   together {total:6.3f} s")
 
 
+def solar(size: int, repeat: int) -> None:
+    """Print seconds of both paths of solar_radiation, their ratio and how far the results are apart."""
+    side = size // 4
+    ground = noise(extent=(0.0, 0.0, side * 30.0, side * 30.0), cell_size=30, kind="ridged", wavelength=8000,
+                   amplitude=2400, octaves=7)  # fmt: skip
+    device = choose("auto")
+    if device is None:
+        raise SystemExit("there is no OpenCL device to compare with")
+    twin = solar_radiation.twin
+    assert twin is not None
+    there = to_device(ground, device)
+    params: dict[str, Any] = {
+        "latitude": 46.0, "first_day": 1, "last_day": 365, "step": 2.0, "transmittance": 0.75, "cast_shadows": True,
+        "directions": 32, "diffuse_share": 0.0,
+    }  # fmt: skip
+
+    def on_device() -> Any:
+        made = twin.function(there, **params, context=Context(device=device))
+        device.finish()
+        return made
+
+    fast, found = seconds(on_device, repeat)
+    slow, expected = seconds(lambda: solar_radiation(ground, latitude=46.0), 1, warm=False)
+    print(f"solar_radiation, a year on {side} x {side} cells on {device.info.name}")
+    print(f"  device {fast:8.2f} s   NumPy {slow:8.2f} s   {slow / fast:6.1f} times")
+    apart = float(np.abs(to_host(found.radiation).data - expected.radiation.data).max())
+    print(f"  they differ by {apart:.1e} W/m2 at most; mean {expected.radiation.data.mean():.1f} W/m2")
+
+
 def tiles(_: int, __: int) -> None:
     """Print bytes and seconds of views of a texture of 32,768 texels a side, and of the whole."""
     side, part = 32768, 2048
@@ -176,7 +209,7 @@ def seconds(work: Callable[[], Any], repeat: int, warm: bool = True) -> tuple[fl
     return statistics.median(times), result
 
 
-SECTIONS: dict[str, Callable[[int, int], None]] = {"apply": apply, "fit": fit, "tiles": tiles}
+SECTIONS: dict[str, Callable[[int, int], None]] = {"apply": apply, "fit": fit, "solar": solar, "tiles": tiles}
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from typing import Annotated
 
 from nodegraph import Param, node, port_type
+from nodegraph_terrain.place import centre_of, true_north
 from nodegraph_terrain.raster import Elevation, Extent
 
 
@@ -169,17 +170,7 @@ def _raised(altitude: float) -> float:
 
 def _centre(extent: Extent) -> tuple[tuple[float, float], float]:
     """Return longitude and latitude of the centre of an extent, and the bearing of true north on its grid, degrees."""
-    from nodegraph_terrain.georeference import gdal, parse_crs
-
-    own, earth = parse_crs(extent.crs), parse_crs("EPSG:4326")
-    with gdal():
-        from rasterio.warp import transform
-
-        x, y = (extent.west + extent.east) / 2, (extent.south + extent.north) / 2
-        (longitude,), (latitude,) = transform(own, earth, [x], [y])
-        if not (math.isfinite(longitude) and math.isfinite(latitude)):
-            raise ValueError("the centre of the linked raster lies nowhere on the Earth; give latitude and longitude")
-        step = 1e-3 if latitude < 89 else -1e-3
-        (there_x,), (there_y,) = transform(earth, own, [longitude], [latitude + step])
-    bearing = 0.0 if extent.unit == "deg" else math.degrees(math.atan2((there_x - x) * step, (there_y - y) * step))
-    return (longitude, latitude), bearing
+    centre = centre_of(extent)
+    if not all(map(math.isfinite, centre)):
+        raise ValueError("the centre of the linked raster lies nowhere on the Earth; give latitude and longitude")
+    return centre, true_north(extent)

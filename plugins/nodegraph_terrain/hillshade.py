@@ -136,7 +136,7 @@ def _twin(
     # Typed as on the host; what it holds here are device arrays.
     heights: Any = surface.data
     rows, cols = surface.shape
-    low, high = _extremes(heights, device) if cast_shadows else (math.nan, math.nan)
+    low, high = extremes(heights, device) if cast_shadows else (math.nan, math.nan)
     lights = _lights(azimuth, altitude, mode, cell, (rows, cols), (high - low) * z_factor if cast_shadows else None)
     shadows: list[Any] = []
     rays = [light.ray for light in lights if light.ray is not None]
@@ -171,7 +171,7 @@ def _twin(
     return Shade(shaded, surface.extent)
 
 
-def _extremes(heights: Any, device: Device) -> tuple[float, float]:
+def extremes(heights: Any, device: Device) -> tuple[float, float]:
     """Return the least and greatest height of a device array; NaN where all is void."""
     rows, cols = heights.shape
     stripes = -(-cols // STRIPE)

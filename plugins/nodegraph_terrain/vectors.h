@@ -26,6 +26,14 @@ static inline void put8(float8 value, __global float *to)
 }
 #endif
 
+// `any`, for which PoCL calls a function.
+static inline int any8(int8 which)
+{
+    const int4 a = which.lo | which.hi;
+    const int2 b = a.lo | a.hi;
+    return (b.x | b.y) < 0;
+}
+
 // Index of cell i of n on a mirrored axis, ... 1 0 | 0 1 .. n-1 | n-1 n-2 ...
 static inline int mirrored(int i, int n)
 {

@@ -161,16 +161,22 @@ def additive_functions(bins: npt.NDArray[Any], held: Flags, count: int, smoothin
     """
     functions = np.zeros((len(bins), count))
     share = min(max(float(held.mean()), 1e-6), 1 - 1e-6) if held.size else 0.5
-    odds = np.full(held.shape, np.log(share / (1 - share)))
+    # Cells in single precision, sums over them in double; `bincount` takes bins of this size as they are.
+    odds = np.full(held.shape, np.log(share / (1 - share)), np.float32)
+    places, own = bins.astype(np.intp), held.astype(np.float32)
     for _ in range(PASSES):
-        for function, numbers in zip(functions, bins, strict=True):
-            chance = 1 / (1 + np.exp(-odds))
-            slope = np.bincount(numbers, held - chance, count)
-            curvature = np.bincount(numbers, chance * (1 - chance), count)
+        for function, numbers in zip(functions, places, strict=True):
+            # 1 / (1 + exp(-odds)), which would overflow.
+            chance = np.tanh(odds / 2)
+            chance += 1
+            chance /= 2
+            slope = np.bincount(numbers, own - chance, count)
+            chance -= chance * chance
+            curvature = np.bincount(numbers, chance, count)
             step = _smooth(slope, smoothing) / (_smooth(curvature, smoothing) + RIDGE)
             function += step
-            odds += step[numbers]
-    seen = np.stack([np.bincount(numbers, minlength=count) > 0 for numbers in bins])
+            odds += step.astype(np.float32)[numbers]
+    seen = np.stack([np.bincount(numbers, minlength=count) > 0 for numbers in places])
     highest = np.where(seen, functions, -np.inf).max(axis=1, keepdims=True)
     return np.asarray(np.exp(np.clip(functions - highest, -STEEPEST, 0)))
 

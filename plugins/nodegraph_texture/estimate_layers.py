@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -66,7 +67,7 @@ def estimate_layers(
     The most widespread class becomes the root, each further one a layer on it with its mean colour, whose constraints
     are functions of altitude, slope (that of texture.apply_layers at this resolution) and all quantities linked, from
     `samples` bins.  These lie between the percentiles 0.5 and 99.5; what lies beyond, here or on other ground, counts
-    as the end, which so does not hang on a few extreme cells.
+    as the end, which so does not hang on a few extreme cells; texture.apply_layers warns where much does.
 
     - ``printed``: the histogram of the class, scaled and clamped to mean 1/2, as in the paper.  Where no more than half
       of the bins are filled that cannot be; the function is 1 where the class occurs, and `unreached` counts it.
@@ -121,12 +122,14 @@ def estimate_layers(
     known = labels.data >= 0
     for data in values.values():
         known &= ~np.isnan(data)
-    sizes = np.bincount(labels.data[known], minlength=count)
-    present = np.flatnonzero(sizes)
-    if len(present) < 2:
-        raise ValueError(_too_few(labels, classes, present))
+    if not known.any():
+        raise ValueError(_too_few(labels, classes, ()))
     ranges = {name: _range(name, data, known) for name, data in values.items()}
     counts, fit_labels, bins = _counted(labels.data, values, ranges, known, count, samples, context)
+    sizes = counts[:, 0].sum(axis=1)
+    present = np.flatnonzero(sizes)
+    if len(present) < 2:
+        raise ValueError(_too_few(labels, classes, present.tolist()))
     fit = Fit(counts, fit_labels, bins, rule, smoothing * samples, sharpness)
     context.progress(0.5)
     root, *siblings = (int(number) for number in present[np.argsort(-sizes[present], kind="stable")])
@@ -204,23 +207,30 @@ def _counted(
     """Return cells by class, quantity and bin; and labels and bins of some cells drawn at random."""
     counts = np.zeros((classes, len(values), samples), np.int64)
     total = int(known.sum())
-    drawn = context.rng.random(labels.shape, np.float32) < CELLS / total if total > CELLS else None
-    kept_labels, kept_bins = [], []
+    drawn = np.sort(context.rng.choice(total, CELLS, replace=False, shuffle=False)) if total > CELLS else None
+    kept_labels, kept_bins, passed = [], [], 0
     for part in row_blocks(len(labels), labels.shape[1], context, start=0.3, stop=0.5):
         own = known[part]
         whole_block = bool(own.all())
         numbers = labels[part].ravel() if whole_block else labels[part][own]
-        some = None if drawn is None else (drawn[part].ravel() if whole_block else drawn[part][own])
-        kept_labels.append(numbers if some is None else numbers[some])
-        offset = numbers * samples
+        some: slice | npt.NDArray[np.intp] = slice(None)
+        if drawn is not None:
+            first, last = np.searchsorted(drawn, (passed, passed + numbers.size))
+            some = drawn[first:last] - passed
+        passed += numbers.size
+        kept_labels.append(numbers[some])
+        # `bincount` takes whole numbers of this size as they are.
+        offset = numbers * np.intp(samples)
         bins = []
         for row, (name, data) in enumerate(values.items()):
             low, high = ranges[name]
             block = data[part].ravel() if whole_block else data[part][own]
-            place = ((block - np.float32(low)) * np.float32(samples / (high - low))).astype(np.int32)
+            place = (block - np.float32(low)) * np.float32(samples / (high - low))
             np.clip(place, 0, samples - 1, out=place)
-            bins.append((place if some is None else place[some]).astype(np.int16))
-            counts[:, row] += np.bincount(offset + place, minlength=classes * samples).reshape(classes, samples)
+            numbered = place.astype(np.intp)
+            bins.append(numbered[some].astype(np.int16))
+            numbered += offset
+            counts[:, row] += np.bincount(numbered, minlength=classes * samples).reshape(classes, samples)
         kept_bins.append(np.stack(bins))
     return counts, np.concatenate(kept_labels), np.concatenate(kept_bins, axis=1)
 
@@ -261,8 +271,8 @@ def _seed(dice: np.random.Generator) -> int:
     return int(dice.integers(1 << 31))
 
 
-def _too_few(labels: Labels, classes: SurfaceClasses, present: npt.NDArray[np.intp]) -> str:
-    if not len(present):
+def _too_few(labels: Labels, classes: SurfaceClasses, present: Sequence[int]) -> str:
+    if not present:
         if (labels.data < 0).all():
             return "the labels hold no class at all; give some from texture.classify_surfaces"
         return "no cell has a class, a height and a value of each quantity; link rasters of the same ground"

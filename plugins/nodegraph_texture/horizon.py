@@ -66,11 +66,17 @@ def pyramid(heights: Floats) -> Pyramid:
     known = heights[~np.isnan(heights)]
     relief = float(known.max() - known.min()) if known.size else 0.0
     levels = [np.where(np.isnan(heights), VOID, heights)]
-    size = 2
-    while NEAR * size // 2 < 2 * max(heights.shape):
-        levels.append(maximum_filter(levels[0], size + 1, mode="constant", cval=VOID))
-        size *= 2
+    for level in range(1, level_count((heights.shape[0], heights.shape[1]))):
+        levels.append(maximum_filter(levels[0], (1 << level) + 1, mode="constant", cval=VOID))
     return Pyramid(levels, relief)
+
+
+def level_count(shape: tuple[int, int]) -> int:
+    """Return how many levels rays over a raster look at: those of 1, 2, 4, ... cells."""
+    count = 1
+    while NEAR << count < 4 * max(shape):
+        count += 1
+    return count
 
 
 def steps(azimuth: float, cell: tuple[float, float], shape: tuple[int, int], relief: float) -> list[Step]:

@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float32]
 Method = Literal["none", "upslope", "linear"]
 
 RISE = 50.0
-"""Usual rise with altitude, mm/yr per 100 m, where no theory makes it."""
+"""Typical rise with altitude, mm/yr per 100 m, where no theory makes it."""
 
 
 @node(version=1, locality=whole)
@@ -98,9 +98,10 @@ def precipitation(
         transition: how widely zones fade.
         method: see above; with ``linear`` give gradients only for what mountains do not make.
         wind_direction, wind_speed: a single wind that stands for those that bring rain.
-        rain_hours: `base` falls in them, too.
+        rain_hours: `base` falls in them, too; 200 is plausible, from no source.
         air_temperature, air_lapse_rate, conversion_time, fallout_time: of the linear theory; 200 to 2,000 s are usual.
-        windward, shadow, smoothing: of the upslope method.
+        windward, shadow, smoothing: of the upslope method; plausible strengths, from no source: set them by what is
+            known of the place.
         context: the engine's.
 
     Returns:

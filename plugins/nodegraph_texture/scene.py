@@ -13,7 +13,7 @@ from nodegraph import Context
 from nodegraph.errors import nearest
 from nodegraph_terrain.gradient import require_projected
 from nodegraph_terrain.raster import Elevation, Extent, Raster
-from nodegraph_texture.constraints import Constraint
+from nodegraph_texture.constraints import Constraint, Sampled
 from nodegraph_texture.detail import Detail, detail_of
 from nodegraph_texture.layers import SurfaceLayers
 from nodegraph_texture.quantities import FROM_ELEVATION, quantity_name
@@ -21,6 +21,12 @@ from nodegraph_texture.sampling import Places, Pyramid, Texels
 from nodegraph_tree.function import THRESHOLD, ElevationFunction, Points
 
 Floats = npt.NDArray[np.float32]
+
+UNKNOWN = 0.25
+"""Share of the ground beyond the samples of a function from which that is told."""
+
+LOOKED_AT = 1 << 16
+"""Cells that the share is found from."""
 
 
 class Ground(NamedTuple):
@@ -179,6 +185,8 @@ def scene_of(
                 )
             _check_overlap(name, named[name], box, context or Context())
             wanted[name] = Pyramid(named[name].data, named[name].extent, cubic=False)
+    known = named | ({"altitude": ground} if isinstance(ground, Elevation) else {})
+    _tell_of_unknown_ground(steps, known, context or Context())
     source = Pyramid(ground.data, ground.extent, cubic=True) if isinstance(ground, Elevation) else ground
     return Scene(box, source, wanted, steps)
 
@@ -221,3 +229,23 @@ def _check_overlap(name: str, raster: Raster, box: Extent, context: Context) -> 
     share = wide * high / (box.width * box.height)
     if share < 0.999:
         context.log.warning("%s covers %.0f %% of the surface; elsewhere its constraints are 0", name, 100 * share)
+
+
+def _tell_of_unknown_ground(steps: Sequence[Step], rasters: dict[str, Raster], context: Context) -> None:
+    """Warn where much of a quantity lies beyond the samples of its functions, as with a climate of other ground."""
+    ranges: dict[str, tuple[float, float]] = {}
+    for step in steps:
+        for item in step.constraints:
+            if isinstance(item, Sampled) and item.quantity in rasters:
+                low, high = ranges.get(item.quantity, (item.low, item.high))
+                ranges[item.quantity] = min(low, item.low), max(high, item.high)
+    for name, (low, high) in ranges.items():
+        cells = rasters[name].data.ravel()
+        cells = cells[:: max(1, cells.size // LOOKED_AT)]
+        cells = cells[~np.isnan(cells)]
+        share = float(((cells < low) | (cells > high)).mean()) if cells.size else 0.0
+        if share > UNKNOWN:
+            context.log.warning(
+                "%.0f %% of the %s lies beyond what layers know of it (%g to %g); there it counts as the nearer end",
+                100 * share, name, low, high,
+            )  # fmt: skip

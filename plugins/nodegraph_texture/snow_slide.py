@@ -1,8 +1,10 @@
 """Snow that slides off steep ground and comes to rest below.
 
 Source: S. Gruber (2007): A mass-conserving fast algorithm to parameterize gravitational transport and deposition using
-digital elevation models. doi:10.1029/2006WR004868; how much holds: M. Bernhardt, K. Schulz (2010): SnowSlide: A simple
-routine for calculating gravitational snow transport. doi:10.1029/2010GL043086.
+digital elevation models. doi:10.1029/2006WR004868; that a slope holds less the steeper it is: M. Bernhardt, K. Schulz
+(2010): SnowSlide: A simple routine for calculating gravitational snow transport. doi:10.1029/2010GL043086; the numbers
+of its curve, vertical metres by degrees: C. B. Marsh, J. W. Pomeroy, H. S. Wheater (2020): The Canadian Hydrological
+Model (CHM) v1.0, doi:10.5194/gmd-13-225-2020, and its source.
 """
 
 from __future__ import annotations
@@ -15,21 +17,20 @@ from nodegraph import Context
 Doubles = npt.NDArray[np.float64]
 Floats = npt.NDArray[np.float32]
 
-DENSITY = 300.0
-"""Of settled snow, kg/m3: what turns its depth in m into mm of water."""
-
 NEIGHBOURS = tuple((i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j)
 
 SMALLEST = 1e-3
 """Moving snow that is left where it is, mm: less than what is seen."""
 
 
-def holding(slope: Floats) -> Doubles:
-    """Return how much snow a slope in degrees can hold, mm of water: 3178.4 slope^-1.998 m deep (SnowSlide)."""
-    return np.asarray(DENSITY * 3178.4 * np.maximum(slope.astype(np.float64), 0.1) ** -1.998)
+def holding(slope: Floats, density: float) -> Doubles:
+    """Return how much snow of a density in kg/m3 a slope in degrees can hold, mm of water: 3178.4 slope^-1.998 m."""
+    return np.asarray(density * 3178.4 * np.maximum(slope.astype(np.float64), 0.1) ** -1.998)
 
 
-def slide(snow: Floats, heights: Floats, slope: Floats, cell: tuple[float, float], context: Context) -> Floats:
+def slide(
+    snow: Floats, heights: Floats, slope: Floats, density: float, cell: tuple[float, float], context: Context
+) -> Floats:
     """Return snow after what ground cannot hold has slid to lower ground; none is lost.
 
     What is too much for a cell goes to its lower neighbours, in proportion to their steepness, and on from there; a
@@ -39,12 +40,13 @@ def slide(snow: Floats, heights: Floats, slope: Floats, cell: tuple[float, float
         snow: mm of water, NaN where void.
         heights: m, NaN where void.
         slope: degrees.
+        density: of settled snow, kg/m3.
         cell: (width, height), m.
         context: the engine's.
     """
     rows, cols = heights.shape
     settled = np.where(np.isnan(snow), 0, snow).astype(np.float64).ravel()
-    room = np.where(np.isnan(slope), np.inf, holding(slope)).ravel()
+    room = np.where(np.isnan(slope), np.inf, holding(slope, density)).ravel()
     height = heights.astype(np.float64).ravel()
     # What moves, and where it is: a list of cells, as few are steep.
     flat = np.flatnonzero(settled > room + SMALLEST)

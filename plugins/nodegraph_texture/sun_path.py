@@ -56,6 +56,35 @@ class SkySector:
     sums: npt.NDArray[np.float32]
 
 
+@dataclass(frozen=True, slots=True)
+class Sky:
+    """All direct radiation of a time.
+
+    Attributes:
+        directions: sectors of a full turn.
+        sectors: those that the sun passes through.
+        pressures: lowest and highest, at which the sums of sectors begin and end.
+        hours: of the whole time, nights too.
+    """
+
+    directions: int
+    sectors: list[SkySector]
+    pressures: tuple[float, float]
+    hours: float
+
+    @property
+    def on_level_ground(self) -> npt.NDArray[np.float32]:
+        """Wh/m2 that level ground under an open sky gets, at the lowest to the highest pressure."""
+        parts = [sector.sums[:, 0, 2] for sector in self.sectors]
+        return np.sum(parts, axis=0, dtype=np.float32) if parts else np.zeros(PRESSURES, np.float32)
+
+    def ways(self, *, everywhere: bool) -> list[tuple[float, SkySector | None]]:
+        """Return the azimuths to look to, and the sector there: those with sun, or all of them."""
+        sunny = {sector.azimuth: sector for sector in self.sectors}
+        every = [360 * number / self.directions for number in range(self.directions)]
+        return [(azimuth, sunny.get(azimuth)) for azimuth in (every if everywhere else sunny)]
+
+
 def declination_and_distance(day: Floats) -> tuple[Floats, Floats]:
     """Return the sun's declination, radians, and the square of mean over true distance, on days from 1 (Spencer)."""
     angle = 2 * np.pi * (day - 1) / 365
@@ -76,7 +105,8 @@ def days_between(first: int, last: int) -> Floats:
 def sun_path(latitude: float, first_day: int, last_day: int, minutes: float) -> SunPath:
     """Return where the sun stands, every so many minutes of solar time, on each day of a range.
 
-    The declination is that of a day's noon.  The air bends no rays: the sun rises geometrically.
+    The declination is that of a day's noon.  The air bends no rays: the sun rises geometrically.  At noon by solar
+    time it stands highest; sums over whole days need no equation of time.
     """
     days = days_between(first_day, last_day)
     count = max(1, round(1440 / minutes))

@@ -209,7 +209,8 @@ def _drawn(
 
     rows, columns = truth.shape
     tall = min(max(extent.height / extent.width, 0.4), 1.6)
-    figure = Figure(figsize=(15, 8.6 * tall + 1.6), dpi=90, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(15, 8.6 * tall + 1.6), dpi=90, facecolor="white")
+    figure.set_layout_engine("constrained", w_pad=0.12, h_pad=0.12)
     canvas: Any = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
     step = max(1, -(-max(rows, columns) // 900))

@@ -59,13 +59,21 @@ def test_the_standard_atmosphere() -> None:
 
 
 def test_the_zonal_mean_is_that_of_the_earth() -> None:
+    """Warren and Schneider (1979) list the means of zones of 10 degrees, from 0-10 N on."""
     flat = Elevation(np.zeros((180, 2), np.float32), Extent(0, -90, 2, 90, "EPSG:4326", "deg"))
     found = temperature(flat, sea_level=None).data[:, 0]
-    latitude = np.radians(np.arange(89.5, -90, -1))
-    # The second term of Legendre has no mean.
-    assert np.average(found, weights=np.cos(latitude)) == pytest.approx(14.97, abs=0.01)
-    assert found[90] == pytest.approx(14.97 + 14, abs=0.1)
-    assert found[0] == pytest.approx(14.97 - 28, abs=0.1)
+    listed = np.array([26.4, 26.1, 22.9, 16.2, 8.8, 2.2, -5.1, -12.3, -16.9])
+    edges = np.sin(np.radians(np.arange(0, 91, 10)))
+    share = np.diff(edges)
+    # A zone's part of the integral of the second polynomial of Legendre, (x^3 - x) / 2 at its edges.
+    second = np.diff((edges**3 - edges) / 2)
+    terms = float(listed @ share), float(5 * listed @ second)
+    assert terms == pytest.approx((15.0, -27.3), abs=0.05)
+    north = found[:90][::-1].reshape(9, 10).mean(axis=1)
+    assert np.abs(north - listed)[:8].max() < 3
+    assert abs(north[8] - listed[8]) < 5.1
+    assert np.average(north, weights=share) == pytest.approx(float(listed @ share), abs=0.1)
+    np.testing.assert_allclose(found, found[::-1])
 
 
 def test_the_seasons() -> None:

@@ -355,3 +355,21 @@ def test_a_partial_quantity_is_told(caplog):
     assert "50 % of the surface" in caplog.text
     assert (made.coverage.data[:, 15:, 1] == 0).all()
     assert (made.coverage.data[:, :15, 1] == 1).all()
+
+
+def test_ground_that_samples_do_not_know_is_told(caplog):
+    def painted(low, high):
+        caplog.clear()
+        top = layer(name="moss", colour="green", constraints={"temperature": (low, high, (0.2, 1.0))})
+        apply_layers(layer(top, name="base", colour="black"), GROUND, None, WARMTH, factor=1)
+        return caplog.text
+
+    low, high = float(WARMTH.data.min()), float(WARMTH.data.max())
+    assert painted(low, high) == ""
+    assert painted(low + 0.2 * (high - low), high) == ""
+    assert "100 % of the temperature lies beyond what layers know of it" in painted(high + 1, high + 2)
+    caplog.clear()
+    apply_layers(
+        layer(name="base", colour="black", constraints={"altitude": (9000, 9500, (1.0, 0.0))}), GROUND, factor=1
+    )
+    assert "of the altitude lies beyond" in caplog.text

@@ -100,12 +100,12 @@ def test_sliding_loses_no_snow_and_empties_only_what_is_too_steep(seed: int, rel
     snow = (depth * rng.random((20, 30))).astype(np.float32)
     gradient = np.gradient(surface.data.astype(np.float64), 10)
     slope = np.degrees(np.arctan(np.hypot(*gradient))).astype(np.float32)
-    found = slide(snow, surface.data, slope, (10.0, 10.0), Context())
+    found = slide(snow, surface.data, slope, 300.0, (10.0, 10.0), Context())
     assert found.sum(dtype=np.float64) == pytest.approx(snow.sum(dtype=np.float64), rel=1e-5)
     assert (found >= 0).all()
-    assert (found >= np.minimum(snow, holding(slope)) * (1 - 1e-6) - 1e-3).all()
+    assert (found >= np.minimum(snow, holding(slope, 300.0)) * (1 - 1e-6) - 1e-3).all()
     # What still holds too much has nowhere lower to go.
-    i, j = np.nonzero(found > holding(slope) + 0.1)
+    i, j = np.nonzero(found > holding(slope, 300.0) + 0.1)
     for row, col in zip(i, j, strict=True):
         around = surface.data[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2]
         assert surface.data[row, col] == around.min()
@@ -121,8 +121,10 @@ def test_snow_slides_off_a_wall_to_its_foot() -> None:
     )
     assert with_it[5] < without[5] - 0.05
     assert with_it[10:12].max() > without[10:12].max()
+    dense = snow_cover(wall, even(Temperature, 0), density=500.0, **params).data[:, 15]
+    assert with_it[5] < dense[5] <= without[5]
     # The shape of the snow that a slope of 45 degrees holds: 1.58 m.
-    assert float(holding(np.array([45.0], np.float32))[0]) / 300 == pytest.approx(1.58, abs=0.01)
+    assert float(holding(np.array([45.0], np.float32), 300.0)[0]) / 300 == pytest.approx(1.58, abs=0.01)
 
 
 def test_voids_and_what_is_refused() -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nodegraph import Context
+from nodegraph.opencl import choose, to_device
 from nodegraph_terrain.hillshade import hillshade
 from nodegraph_terrain.raster import Elevation, Extent
 from nodegraph_texture.horizon import whole_horizon
@@ -228,12 +230,14 @@ def test_an_even_sky_on_planes_and_in_a_pit() -> None:
 
 def test_meridian_convergence_turns_the_sun() -> None:
     # West of a zone's middle in the north, true north lies east of the grid's: 1.4 degrees or so here.
-    from nodegraph_texture.place import centre_latitude, true_north
+    from nodegraph_terrain.place import centre_of, true_north
+    from nodegraph_texture.place import centre_latitude
 
     extent = Extent(300000.0, 5100000.0, 300090.0, 5100070.0, "EPSG:32632")
     bearing = true_north(extent)
     assert bearing == pytest.approx(math.degrees(math.tan(math.radians(2.59)) * math.sin(math.radians(46.0))), abs=0.05)
     assert centre_latitude(extent, None) == pytest.approx(46.02, abs=0.02)
+    assert centre_of(extent) == pytest.approx((6.41, 46.02), abs=0.02)
 
 
 def test_voids_stay_void_and_hide_nothing() -> None:
@@ -243,6 +247,51 @@ def test_voids_stay_void_and_hide_nothing() -> None:
     assert (np.isnan(found) == np.isnan(heights)).all()
     np.testing.assert_allclose(found[~np.isnan(heights)], found[0, 0], rtol=1e-5)
     assert np.isnan(solar_radiation(ground(np.full((4, 5), np.nan)), latitude=46).irradiation.data).all()
+
+
+PARAMS = {"latitude": 46.0, "first_day": 300, "last_day": 60, "step": 10.0, "transmittance": 0.75, "cast_shadows": True,
+          "directions": 16, "diffuse_share": 0.0}  # fmt: skip
+
+
+def on_device(surface: Elevation, **params: Any) -> tuple[np.ndarray, np.ndarray]:
+    device = choose("auto")
+    if device is None:
+        pytest.skip("no OpenCL device")
+    assert solar_radiation.twin is not None
+    given = to_device(surface, device)
+    found = solar_radiation.twin.function(given, **{**PARAMS, **params}, context=Context(device=device))
+    return device.to_host(found.radiation.data), device.to_host(found.irradiation.data)
+
+
+def rough(rows: int, cols: int, voids: float = 0.0) -> Elevation:
+    rng = np.random.default_rng(rows)
+    heights = 400 + np.cumsum(np.cumsum(rng.normal(0, 1, (rows, cols)), axis=0), axis=1)
+    heights[rng.random((rows, cols)) < voids] = np.nan
+    return ground(heights, 30.0)
+
+
+@pytest.mark.parametrize("shape", [(150, 171), (5, 300), (40, 3), (1, 1), (1, 9)])
+@pytest.mark.parametrize("params", [{}, {"diffuse_share": 0.2}, {"cast_shadows": False, "first_day": 172}])
+def test_the_twin_agrees(shape: tuple[int, int], params: dict[str, Any]) -> None:
+    surface = rough(*shape, voids=0.02 if min(shape) > 4 else 0.0)
+    host = solar_radiation(surface, **{**PARAMS, **params})
+    for found, expected in zip(on_device(surface, **params), host, strict=True):
+        assert np.array_equal(np.isnan(found), np.isnan(expected.data))
+        np.testing.assert_allclose(found, expected.data, rtol=2e-4, atol=2e-3)
+
+
+def test_the_twin_in_bands_in_a_polar_night_and_on_voids_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    surface = rough(60, 80)
+    whole = on_device(surface)
+    monkeypatch.setattr("nodegraph_texture.solar_opencl.WORK", 1 << 18)
+    for found, expected in zip(on_device(surface), whole, strict=True):
+        assert np.array_equal(found, expected)
+    for share in (0.0, 0.1):
+        night = on_device(surface, latitude=85.0, first_day=340, last_day=10, diffuse_share=share)
+        assert (night[0] == 0).all()
+        assert np.isnan(on_device(ground(np.full((6, 9), np.nan)), diffuse_share=share)[0]).all()
+    with pytest.raises(ValueError, match="infinite"):
+        on_device(ground(np.full((4, 5), np.inf)))
 
 
 def test_bad_input() -> None:

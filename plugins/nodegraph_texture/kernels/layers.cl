@@ -32,13 +32,6 @@ static inline float8 clamped(float8 t)
     return t < 1.0f ? t : 1.0f;
 }
 
-static inline int any8(int8 which)
-{
-    const int4 a = which.lo | which.hi;
-    const int2 b = a.lo | a.hi;
-    return (b.x | b.y) < 0;
-}
-
 // F at eight values; 0 where one is NaN.
 static inline float8 suitability(__global const Constraint *c, __global const uint *words, float8 values)
 {
