@@ -9,6 +9,10 @@ on NumPy and on OpenCL, beside SPAMS; and orthogonal matching pursuit beside sci
 ``amplify``: 32 x 32 cells to 8,192 x 8,192 in four steps of 4, in tiles, with 256 learned atoms and (with ``--slow``)
 with 120,000 windows of the example: table 2 of Guérin 2016, doi:10.1111/cgf.12821, whose times are of another machine.
 
+``quality``: PSNR, values and bytes of learned terrain, beside JPEG 2000, fewer cells and table 1 of the paper.
+
+``inverse``: PSNR of terrain as functions, by the kind of noise.
+
     uv run --group bench python benchmarks/sparse.py [--part omp] [--repeat 5] [--slow]
 
 Runs alternate; figures are of the fastest one.  Beside the clock's stands the processors' time, which says more on a
@@ -27,6 +31,7 @@ from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from sparse_quality import inverse, quality
 
 from nodegraph import Context
 from nodegraph.opencl import choose, to_host
@@ -281,7 +286,7 @@ def by_tiles(
 
 def rebuilt(coarse: Elevation, atoms: MultiresolutionDictionary, cells: int, factor: int) -> Elevation:
     code = sparse_omp(patches(coarse, cells=cells), atoms.low, sparsity=1, nonnegative=True)
-    function = sparse_terrain(atoms.high, code, contrast=1.2)
+    function = sparse_terrain(atoms.high, code, contrast=1.2, exaggeration=2.0)
     shape = factor * coarse.shape[0], factor * coarse.shape[1]
     device = choose("auto")
     if device is None:
@@ -296,7 +301,8 @@ def rebuilt(coarse: Elevation, atoms: MultiresolutionDictionary, cells: int, fac
 
 
 PARTS: dict[str, Callable[[int, bool], None]] = {
-    "omp": omp, "complete": complete, "ksvd": learning, "amplify": amplify,
+    "omp": omp, "complete": complete, "ksvd": learning, "amplify": amplify, "quality": quality,
+    "inverse": inverse,
 }  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """The file format of sparse terrains: HDF5, each array in as few bytes as hold it.
 
-    attribute  format = "nodegraph-sparse/1"
+    attribute  format = "nodegraph-sparse/2"
     /dictionary        attribute form, and the fields of that form: arrays as datasets, others as attributes;
                        the parts of a merged dictionary are groups in it, numbered from 0
     /code              counts (n,) where not all patches have s atoms; indices and coefficients, those of all patches
@@ -34,7 +34,7 @@ from nodegraph_sparse.pursuit_rules import Floats
 from nodegraph_sparse.sparse_raster import reliefs
 from nodegraph_terrain.raster import Extent
 
-NAME, VERSION = "nodegraph-sparse", 1
+NAME, VERSION = "nodegraph-sparse", 2
 
 FORMS: dict[str, type[Dictionary]] = {
     "samples": SampledDictionary,
@@ -43,6 +43,9 @@ FORMS: dict[str, type[Dictionary]] = {
     "merged": MergedDictionary,
 }
 """Names in files.  Their fields are part of the format: where one changes, so must `VERSION`."""
+
+SINCE_2 = frozenset({"cell"})
+"""Fields that files of version 1 do not have; their defaults say that nothing is known."""
 
 HEIGHTS = frozenset({"samples", "heights"})
 """Fields that quantised atoms are stored in fewer bits of."""
@@ -189,7 +192,7 @@ def _put_dictionary(group: Any, dictionary: Dictionary, precision: Precision) ->
             for number, part in enumerate(value):
                 _put_dictionary(group.create_group(str(number)), part, precision)
         else:
-            group.attrs[name] = value if isinstance(value, int) else _fixed(value)
+            group.attrs[name] = value if isinstance(value, (int, float)) else _fixed(value)
 
 
 def _dictionary(group: Any) -> Dictionary:
@@ -203,9 +206,10 @@ def _dictionary(group: Any) -> Dictionary:
             values["parts"] = tuple(_dictionary(group[str(number)]) for number in numbers)
         elif item.name in group:
             values[item.name] = _get(group, item.name)
-        else:
+        elif item.name in group.attrs or item.name not in SINCE_2:
             value = group.attrs[item.name]
-            values[item.name] = _text(value) if isinstance(value, bytes) else int(value)
+            plain = float if isinstance(value, float) else int
+            values[item.name] = _text(value) if isinstance(value, bytes) else plain(value)
     dictionary = cls(**values)
     lengths = {len(value) for name, value in values.items() if isinstance(value, np.ndarray) and name != "heights"}
     if len(lengths) != 1:

@@ -87,6 +87,15 @@ class Dictionary:
         """Return some atoms, (b, size, size) float32, dimensionless, row 0 north."""
         raise NotImplementedError
 
+    def exaggerations(self, which: npt.NDArray[Any], cell: float) -> npt.NDArray[Any]:  # noqa: ARG002
+        """Return how many times as steep as measured some atoms stand for a coefficient of 1; 0 where it is unknown.
+
+        Args:
+            which: numbers of atoms, in any shape.
+            cell: from a sample to the next where they stand, m.
+        """
+        return np.zeros(which.shape)
+
     def take(self, which: npt.NDArray[Any]) -> Dictionary:
         """Return the dictionary of some atoms, by number and in that order: still a map's or functions, if it was."""
         raise NotImplementedError

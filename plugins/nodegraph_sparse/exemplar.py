@@ -30,6 +30,7 @@ class ExemplarDictionary(Dictionary):
         scales: (N,) float64, 1/m.
         side: samples along a side of a window.
         step: cells of the map from a sample to the next.
+        cell: side of a cell of the map, m; 0 where it is unknown.
     """
 
     heights: npt.NDArray[Any]
@@ -39,6 +40,7 @@ class ExemplarDictionary(Dictionary):
     scales: npt.NDArray[Any]
     side: int
     step: int = 1
+    cell: float = 0.0
 
     computes: ClassVar[bool] = True
 
@@ -59,6 +61,10 @@ class ExemplarDictionary(Dictionary):
             found *= self.scales[some][:, None, None]
             samples[part] = turn(found.astype(np.float32), self.turns[some])
         return samples
+
+    def exaggerations(self, which: npt.NDArray[Any], cell: float) -> npt.NDArray[Any]:
+        """Return what the slopes of some windows are multiplied by."""
+        return np.asarray(self.scales[which] * (self.step * self.cell / cell))
 
     def take(self, which: npt.NDArray[Any]) -> Dictionary:
         """Return the dictionary of some atoms: with samples of its own where these are less than the map."""
@@ -150,7 +156,7 @@ def exemplar_dictionary(
     turns, windows = np.divmod(chosen, len(corners))
     return ExemplarDictionary(
         metric, np.zeros(len(chosen), np.int32), (name,), surface.data, corners[windows], turns.astype(np.int8),
-        means[windows], scales[windows], size,
+        means[windows], scales[windows], size, cell=surface.cell_size[0],
     )  # fmt: skip
 
 

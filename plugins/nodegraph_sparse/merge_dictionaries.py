@@ -43,6 +43,15 @@ class MergedDictionary(Dictionary):
                 samples[inside] = part.atoms(chosen[inside] - start)
         return samples
 
+    def exaggerations(self, which: npt.NDArray[Any], cell: float) -> npt.NDArray[Any]:
+        """Return those of the parts."""
+        chosen = self.order[which]
+        found = np.zeros(chosen.shape)
+        for part, start in zip(self.parts, self._starts(), strict=True):
+            inside = (chosen >= start) & (chosen < start + part.count)
+            found[inside] = part.exaggerations(chosen[inside] - start, cell)
+        return found
+
     def take(self, which: npt.NDArray[Any]) -> MergedDictionary:
         """Return the dictionary of some atoms; what no atom is of is left out."""
         chosen = self.order[which]

@@ -142,7 +142,8 @@ def _of_exemplar(
         dictionary, sources=dictionary.sources[kept], corners=dictionary.corners[kept], turns=dictionary.turns[kept],
         means=levels[kept], scales=1 / norms[kept],
     )  # fmt: skip
-    return high, replace(high, heights=heights, corners=corners[kept], side=side, step=step), kept
+    cell = dictionary.cell * dictionary.step * factor / step
+    return high, replace(high, heights=heights, corners=corners[kept], side=side, step=step, cell=cell), kept
 
 
 def _of_parts(

@@ -47,7 +47,7 @@ class SparseTerrain(ElevationFunction):
         indices: k, (n, s) int32.
         coefficients: x, (n, s) float64, 0 where patches have fewer atoms.
         means: z, (n,) float64, m.
-        margin: over which the weight of the terrain falls to 0 at the edges, m.
+        margin: within the edges, over which the weight of the terrain falls, m.
         interpolation: of samples.
         fall_off: how that weight falls.
     """
@@ -67,16 +67,21 @@ class SparseTerrain(ElevationFunction):
         return int(self.atoms.shape[1]) - 2 * PAD
 
     @property
+    def _narrowest(self) -> float:
+        """Half a sample, m: the least over which the weight falls."""
+        return self.grid.radius / self.size
+
+    @property
     def support(self) -> Box:
-        """The extent of the grid."""
-        extent = self.grid.extent
-        return Box(extent.west, extent.south, extent.east, extent.north)
+        """The extent of the grid, and what the weight needs beyond it to fall."""
+        extent, beyond = self.grid.extent, max(self._narrowest - self.margin, 0.0)
+        return Box(extent.west - beyond, extent.south - beyond, extent.east + beyond, extent.north + beyond)
 
     @cached_property
     def _border(self) -> Border:
         west, south, east, north = self.support
         edges = ((1.0, 0.0, west), (-1.0, 0.0, -east), (0.0, 1.0, south), (0.0, -1.0, -north))
-        return Border(edges, self.margin, self.fall_off)
+        return Border(edges, max(self.margin, self._narrowest), self.fall_off)
 
     def query(self, points: Points, *, gradient: bool = False) -> Sample:
         """Blend the patches, four at most for each point: O(points * sparsity), in blocks of bounded memory."""
@@ -100,7 +105,8 @@ class SparseTerrain(ElevationFunction):
         u, v = (points.x - grid.west) / grid.radius, (grid.north - points.y) / grid.radius
         held_u, held_v = np.clip(u, -HELD, grid.cols - 1 + HELD), np.clip(v, -HELD, grid.rows - 1 + HELD)
         west, north = np.floor(held_u), np.floor(held_v)
-        c, r = (u - west) * half - 0.5, (v - north) * half - 0.5
+        # Beyond the discs themselves, where at most the weight still falls, heights stay as they are.
+        c, r = (np.minimum(place, 1.0) * half - 0.5 for place in (u - west, v - north))
         left, top = np.clip(np.floor(c), -1, half - 1), np.clip(np.floor(r), -1, half - 1)
         (wx, dx), (wy, dy) = (
             [np.stack(item) for item in basis(self.interpolation, place)] for place in (c - left, r - top)
@@ -141,7 +147,7 @@ class SparseTerrain(ElevationFunction):
         if not gradient:
             return blended
         # Per radius: as atoms change, and as patches take over from each other.
-        along, down = blended[1:] * half
+        along, down = blended[1] * half * (u - west <= 1), blended[2] * half * (v - north <= 1)
         moves_x = (u == held_u) / total
         moves_y = (v == held_v) / total
         for rate, x, y, value in around:
@@ -262,9 +268,15 @@ def sparse_terrain(
         int | None,
         Param("Samples along a side of atoms that are functions; none: the dictionary's own.", ge=2, le=4096),
     ] = None,
+    factor: Annotated[
+        int, Param("How many times as fine as the dictionary's own the samples of functions are.", ge=1, le=256)
+    ] = 1,
     contrast: Annotated[float, Param("What the relief of atoms is multiplied by; means stay as they are.", ge=0)] = 1.0,
+    exaggeration: Annotated[
+        float | None, Param("How many times as steep as measured windows of an exemplar may be; none: any.", gt=0)
+    ] = None,
     margin: Annotated[
-        float, Param("Where the weight falls to 0 at the edges; 0: as narrow as can be.", ge=0, unit="m")
+        float, Param("Where the weight falls to 0 within the edges; 0: it is 1 up to them.", ge=0, unit="m")
     ] = 0.0,
     fall_off: Annotated[FallOff, Param("How the weight falls over the margin.")] = "cubic",
     context: Context,
@@ -282,24 +294,30 @@ def sparse_terrain(
     its radius is an odd number of cells, and by half a cell.
 
     Sampled at the cells of the terrain that was coded, the result is what the code says, to rounding.  The weight is 1
-    inside and falls to 0 at the edges over the margin, half a sample at least.  At a level of detail kappa < 1 what the
-    atoms add to the blend of the means z is multiplied by 1 - (1 - kappa^2)^3.
+    inside and falls to 0 at the edges over the margin.  Without one it is 1 up to the very edges, so that finer samples
+    cover the extent too, and falls to 0 beyond, over half a sample.  At a level of detail kappa < 1 what the atoms add
+    to the blend of the means z is multiplied by 1 - (1 - kappa^2)^3.
 
     Args:
         dictionary: atoms d, of any kind.
         code: where patches are, with their means z, atoms k and coefficients x.
         interpolation: between samples.
         size: even; a noise dictionary's functions show more of themselves at a higher one.
+        factor: the same, as a multiple of the dictionary's own size, whatever that is.
         contrast: 1 is what the code says.  Where discs overlap their atoms blend, and detail that differs from disc to
             disc loses height: amplified terrain comes closest to real ground at about 1.2.
+        exaggeration: coefficients that would make an atom steeper, the contrast included, are lowered.  Gentle ground
+            that stands for a mountain shows spires, holes and what its instrument added; 2 keeps amplified terrain free
+            of them.  It holds for atoms of an exemplar alone, whose heights and cells are known.
         margin: at most half the narrower side.
         fall_off: of the weight over the margin.
         context: the engine's.
 
     Raises:
         ValueError: the dictionary has another number of atoms or another metric than the code's, an odd size or one
-            that is no multiple of the code's; it holds no functions that could be sampled anew; an atom, a mean or a
-            coefficient is not finite; the grid is in degrees or reaches beyond its discs; or the margin is too wide.
+            that is no multiple of the code's; it holds no functions that could be sampled anew, or the size is stated
+            twice; an atom, a mean or a coefficient is not finite; the grid is in degrees or reaches beyond its discs;
+            or the margin is too wide.
 
     Complexity: O(s) a point, with 4 discs at most over it, 16 samples of each.  It holds the atoms that are used, and
     16 bytes a coefficient.
@@ -307,6 +325,10 @@ def sparse_terrain(
     Source: Guérin et al. 2016, Sparse representation of terrains for procedural modeling, Computer Graphics Forum
     35(2), sections 4.1 and 5, doi:10.1111/cgf.12821.
     """
+    if factor > 1:
+        if size is not None:
+            raise ValueError(f"the samples of atoms are stated twice; either {size} along a side or {factor} times")
+        size = factor * dictionary.size
     if size is not None and size != dictionary.size:
         if not isinstance(dictionary, NoiseDictionary):
             raise ValueError(
@@ -319,12 +341,16 @@ def sparse_terrain(
     none = int(np.count_nonzero(used < 0))
     indices = np.maximum(places.reshape(code.indices.shape) - none, 0).astype(np.int32)
     coefficients = np.where(code.indices >= 0, contrast * code.coefficients, 0.0).astype(np.float64)
+    if exaggeration is not None:
+        cell = 2 * code.grid.radius / dictionary.size
+        times = np.abs(coefficients) * dictionary.exaggerations(np.maximum(code.indices, 0), cell)
+        coefficients /= np.maximum(times / exaggeration, 1.0)
     # Columns that no patch uses would cost as much as others.
     terms = int(np.count_nonzero((code.indices >= 0).any(axis=0)))
     atoms = _continued(dictionary, used[none:], context)
     return SparseTerrain(
         code.grid, atoms, indices[:, :terms], coefficients[:, :terms], code.means.astype(np.float64),
-        max(margin, code.grid.radius / dictionary.size), interpolation, fall_off,
+        margin, interpolation, fall_off,
     )  # fmt: skip
 
 

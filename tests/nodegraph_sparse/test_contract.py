@@ -54,11 +54,14 @@ EXAMPLES: dict[str, list[Example]] = {
         *cases({"atoms": 4, "iterations": 1, "choice": "random"}, patches=PATCHES, candidates=EVERY_KIND),
         *cases({"atoms": 4, "iterations": 1}, patches=TURNED),
     ],
-    "sparse.dictionary_from_noise": cases(
-        {"atoms": 5, "size": 8, "octaves": 3},
-        {"atoms": 3, "kind": "ridged", "size": 12, "metric": "plain", "seed": 3, "name": "crests"},
-        {"atoms": 3, "kind": "perlin", "wavelength": 2, "gain": 0.6, "lacunarity": 1.9, "variety": 0.5},
-    ),
+    "sparse.dictionary_from_noise": [
+        *cases(
+            {"atoms": 5, "size": 8, "octaves": 3},
+            {"atoms": 3, "kind": "ridged", "size": 12, "metric": "plain", "seed": 3, "name": "crests"},
+            {"atoms": 3, "kind": "perlin", "wavelength": 2, "gain": 0.6, "lacunarity": 1.9, "variety": 0.5},
+        ),
+        *cases({"atoms": 5}, patches=PATCHES),
+    ],
     "sparse.dictionary_from_patches": [
         *cases({}, {"choice": "random", "atoms": 4}, patches=[PATCHES]),
         *cases(
@@ -151,7 +154,12 @@ EXAMPLES: dict[str, list[Example]] = {
             dictionary=CHOSEN,
             code=CODE,
         ),
-        *cases({"size": 16}, dictionary=NOISE, code=replace(CODE, atoms=NOISE.count, indices=CODE.indices % 5)),
+        *cases(
+            {"size": 16},
+            {"factor": 3},
+            dictionary=NOISE,
+            code=replace(CODE, atoms=NOISE.count, indices=CODE.indices % 5),
+        ),
     ],
 }
 

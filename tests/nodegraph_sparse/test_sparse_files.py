@@ -245,8 +245,8 @@ def test_foreign_and_newer_files(tmp_path, saved):
     with pytest.raises(ValueError, match=r"'other[.]h5' is no complete HDF5 file"):
         load_sparse(path=other)
     with h5py.File(saved, "r+") as file:
-        file.attrs["format"] = "nodegraph-sparse/2"
-    with pytest.raises(ValueError, match=r"'terrain[.]h5' is of version 2 and this program reads 1; update nodegraph"):
+        file.attrs["format"] = "nodegraph-sparse/3"
+    with pytest.raises(ValueError, match=r"'terrain[.]h5' is of version 3 and this program reads 2; update nodegraph"):
         load_sparse(path=saved)
 
 
@@ -261,6 +261,8 @@ def test_files_of_version_1_are_read():
     np.testing.assert_allclose(norms, 1, atol=1e-5)
     assert found.code.grid.extent.crs == "EPSG:32616"
     assert found.code.sparsity == 2
+    # It does not say how large the cells of its map are.
+    assert not found.dictionary.exaggerations(np.arange(found.code.atoms), 10.0).any()
 
 
 def test_what_saving_refuses(learned, found):

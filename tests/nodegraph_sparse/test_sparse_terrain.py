@@ -110,6 +110,45 @@ def test_own_patches_give_a_terrain_back(shape: tuple[int, int], half: int, kind
     assert np.abs(found.height - surface.data.ravel()).max() < 5e-7 * np.ptp(surface.data)
 
 
+@pytest.mark.parametrize("half", [1, 2, 3, 8, 15])
+@pytest.mark.parametrize("fall_off", ["cubic", "wyvill", "plateau"])
+def test_a_terrain_reaches_its_edges(half: int, fall_off: Any) -> None:
+    """Samples of any size cover the extent of the raster, corners and all; beyond half a cell there is nothing."""
+    surface = hills(40, 33)
+    extent, cell = surface.extent, surface.cell_size[0]
+    terrain = built(*of_own_patches(surface, half), fall_off=fall_off)
+    for finer in (2, 3, 7):
+        shape = 40 * finer, 33 * finer
+        found = terrain.query(grid(extent, shape))
+        assert (found.weight == 1).all()
+        # Nothing goes wild between the last centres and the edges: slopes go on there.
+        steepest = np.abs(np.diff(surface.data.astype(np.float64), axis=1)).max()
+        across = found.height.reshape(shape)[finer // 2 :: finer]
+        assert np.abs(np.diff(across, axis=1)).max() * finer < 2 * steepest
+    x, y = (
+        item.ravel() for item in np.meshgrid(*(np.linspace(-cell, side + cell, 99) for side in (33 * cell, 40 * cell)))
+    )
+    weight = terrain.query(Points(x, y)).weight
+    outside = np.maximum(np.maximum(-x, x - extent.east), np.maximum(-y, y - extent.north))
+    assert (weight[outside <= 0] == 1).all()
+    assert (weight[outside >= cell / 2] == 0).all()
+    # A margin lies within.
+    narrowed = built(*of_own_patches(surface, half), fall_off=fall_off, margin=2 * cell)
+    assert narrowed.support == Box(*(extent.west, extent.south, extent.east, extent.north))
+    assert (narrowed.query(Points(x, y)).weight[outside >= 0] == 0).all()
+    assert (narrowed.query(Points(x, y)).weight[outside <= -2 * cell] == 1).all()
+
+
+@pytest.mark.parametrize("half", [1, 3, 8])
+def test_a_terrain_reaches_its_edges_on_a_device(half: int, device: Any) -> None:
+    surface = hills(40, 33, west=200_000.0, south=-150_000.0)
+    terrain = built(*of_own_patches(surface, half))
+    height, weight = on_device(terrain, surface.extent, (280, 231), device)
+    assert (weight >= 1 - 1e-4).all()
+    found = terrain.query(grid(surface.extent, (280, 231)))
+    assert np.abs(height - found.height).max() < 0.01
+
+
 def test_own_patches_give_a_terrain_back_on_a_device(device: Any) -> None:
     surface = hills(150, 170, west=200_000.0, south=-150_000.0)
     terrain = built(*of_own_patches(surface, 8))
@@ -144,7 +183,7 @@ def directly(terrain: SparseTerrain, x: float, y: float, detail: float) -> float
 @given(sparse(), DETAILS, st.integers(0, 1000))
 @settings(max_examples=40)
 def test_a_sparse_terrain_is_the_sum_over_all_patches(terrain: SparseTerrain, detail: float, seed: int) -> None:
-    dice, box, radius = np.random.default_rng(seed), terrain.support, terrain.grid.radius
+    dice, box, radius = np.random.default_rng(seed), terrain.grid.extent, terrain.grid.radius
     x, y = (low + dice.random(20) * (high - low) for low, high in ((box.west, box.east), (box.south, box.north)))
     # Half a radius around the outer centres, beyond which weights are held.
     east, south = terrain.grid.west + terrain.grid.cols * radius, terrain.grid.north - terrain.grid.rows * radius
@@ -368,6 +407,7 @@ def test_functions_can_be_sampled_anew() -> None:
     )  # fmt: skip
     own, finer = built(noise, code), built(noise, code, size=64)
     assert (own.size, finer.size) == (16, 64)
+    assert codec.seal(built(noise, code, factor=4)) == codec.seal(finer)
     points = grid(where.extent, (50, 50))
     first, second = own.query(points).height, finer.query(points).height
     assert 0 < np.abs(first - second).max() < 0.2 * np.ptp(first)
@@ -392,8 +432,9 @@ def test_bounds_of_everything() -> None:
     everywhere = terrain.bounds(Box(-np.inf, -np.inf, np.inf, np.inf))
     assert not np.isnan(everywhere).any()
     assert everywhere.weight_low == 0
-    assert terrain.bounds(Box(-500.0, 0.0, -1.0, 10.0)).absent
-    assert terrain.bounds(Box(0.0, 0.0, 0.0, 10.0)).absent
+    assert terrain.bounds(Box(-500.0, 0.0, -CELL / 2, 10.0)).absent
+    assert terrain.bounds(Box(-CELL / 2, 0.0, -CELL / 2, 10.0)).absent
+    assert terrain.bounds(Box(0.0, 0.0, 0.0, 10.0)).weight_low == 1
 
 
 def refused(message: str, dictionary: Dictionary, code: SparseCode, **params: Any) -> None:
@@ -414,6 +455,8 @@ def test_what_does_not_fit_is_refused() -> None:
     refused("even size", sampled(samples[:, :7, :7]), code)
     refused("12 samples along a side do not fit a code of patches of 8", sampled(np.zeros((count, 12, 12))), code)
     refused("holds samples, 8 along a side", dictionary, code, size=16)
+    refused("holds samples, 8 along a side", dictionary, code, factor=2)
+    refused("stated twice; either 16 along a side or 2 times", dictionary, code, size=16, factor=2)
     refused("margin of 501 m leaves nothing", dictionary, code, margin=501.0)
     degrees = replace(code.grid, extent=replace(code.grid.extent, unit="deg"))
     refused("in degrees", dictionary, replace(code, grid=degrees))
