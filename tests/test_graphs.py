@@ -57,6 +57,8 @@ def test_it_runs_and_then_answers_from_the_cache(path, tmp_path):
             coarse |= {f"{name}.cell_size": 2 * record["params"]["cell_size"]}
         elif record["type"] == "hydrology.rasterize_features":
             coarse |= {f"{name}.cell_size": 40}
+        elif record["type"] == "texture.save_tiles":
+            coarse |= {f"{name}.levels": [9, 10]}
         elif record["type"] == "render.flight":
             coarse |= {f"{name}.width": 64, f"{name}.height": 36, f"{name}.frame_rate": 0.5}
     cache = Cache(tmp_path / "cache")

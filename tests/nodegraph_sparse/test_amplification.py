@@ -91,7 +91,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Any:
     made.close()
 
 
-@pytest.fixture(scope="module", params=["jacksboro", *(pytest.param(name, marks=pytest.mark.slow) for name in PLACES if PLACES[name])])  # fmt: skip  # noqa: E501
+@pytest.fixture(scope="module", params=[pytest.param(place, marks=pytest.mark.slow) for place in PLACES])
 def proof(request: pytest.FixtureRequest, cache: Cache) -> Proof:
     return held_out(request.param, cache)
 

@@ -269,6 +269,7 @@ def test_what_makes_no_curve_is_refused(change: dict[str, Any], problem: str) ->
         curve(**{**given, **change})
 
 
+@pytest.mark.slow
 def test_a_million_points(device: Any) -> None:
     dice = np.random.default_rng(1)
     turn = np.cumsum(dice.normal(0, 0.02, 1_000_000))

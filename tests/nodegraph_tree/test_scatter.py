@@ -108,6 +108,7 @@ def test_the_knobs_do_not_reshuffle_the_places() -> None:
     assert all(5 <= part.rise <= 6 for part in other.operands if isinstance(part, Affine))
 
 
+@pytest.mark.slow
 def test_ten_thousand_instances_are_small_and_quick(device: Any) -> None:
     started = time.perf_counter()
     many = scatter(MOUNTAIN, extent=(1e5, 1e5, 1.5e5, 1.5e5), spacing=395.0, seed=1)
