@@ -16,7 +16,8 @@ from nodegraph_sparse.dictionary import Dictionary, SampledDictionary, SparseCod
 from nodegraph_sparse.noise_dictionary import dictionary_from_noise
 from nodegraph_sparse.patch_grid import patch_grid
 from nodegraph_sparse.patches import grid_patches
-from nodegraph_sparse.sparse_terrain import SparseTerrain, faded, sparse_terrain
+from nodegraph_sparse.sparse_function import SparseTerrain, faded
+from nodegraph_sparse.sparse_terrain import sparse_terrain
 from nodegraph_terrain.raster import Elevation, Extent
 from nodegraph_tree.blend import blend
 from nodegraph_tree.carve import Carve
