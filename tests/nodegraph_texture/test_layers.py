@@ -200,6 +200,23 @@ def test_coverage_is_continuous_in_the_heights(change, seed):
     assert np.abs(one.coverage.data - other.coverage.data).max() <= 2 / 50 * abs(change) + 2e-4
 
 
+@given(st.floats(-2e-2, 2e-2), st.integers(0, 1000), st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_coverage_is_continuous_in_a_quantity(change, seed, sampled):
+    # Both rise by 1 in 2 K at the steepest.
+    rule = Sampled("temperature", -3.0, 3.0, np.array([0, 1, 0.2, 0.9], np.float32)) if sampled else None
+    hat = {} if sampled else {"constraints": {"temperature": [2, 4, 8, 10]}}
+    top = layer(name="top", colour="white", noise_scale=1.0, seed=seed, **hat)
+    base = layer(replace(top, constraints=(rule,)) if rule else top, name="base", colour="black")
+    moved = Temperature(WARMTH.data + np.float32(change), BOX)
+    one, other = (
+        apply_layers(base, GROUND, None, quantities, factor=2).coverage.data for quantities in (WARMTH, moved)
+    )
+    assert one[..., 1].min() < 0.2
+    assert one[..., 1].max() > 0.8
+    assert np.abs(one - other).max() <= 2 / 2 * abs(change) + 2e-4
+
+
 @pytest.mark.parametrize("wavelength", [30, 100, 300])
 def test_a_coarse_level_is_nearer_to_the_means_of_a_fine_one_than_its_samples(wavelength):
     patches = layer(name="patches", colour="white", noise_scale=1.0, noise_bias=0.5, noise_wavelength=wavelength)
