@@ -20,6 +20,7 @@ import tempfile
 import time
 import types
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from nodegraph import Graph, node
@@ -48,17 +49,23 @@ def fan(count: int) -> Edges:
     return [[]] + [[0] for _ in range(count - 2)] + [list(range(1, count - 1))]
 
 
-def random_dag(count: int) -> Edges:
-    """Each node on up to three earlier ones; a last one on all that nothing else uses."""
+def random_dag(count: int, reach: int | None = None) -> Edges:
+    """Each node on up to three earlier ones, of the last `reach` if given; a last one on all that nothing else uses."""
     dice = random.Random(1)
     edges = [
-        sorted({dice.randrange(index) for _ in range(min(index, 3))}) if index else [] for index in range(count - 1)
+        sorted({dice.randrange(max(0, index - (reach or index)), index) for _ in range(min(index, 3))})
+        for index in range(count - 1)
     ]
     used = {source for sources in edges for source in sources}
     return [*edges, [index for index in range(count - 1) if index not in used]]
 
 
-SHAPES: dict[str, Callable[[int], Edges]] = {"chain": chain, "fan": fan, "random": random_dag}
+SHAPES: dict[str, Callable[[int], Edges]] = {
+    "chain": chain,
+    "fan": fan,
+    "random": random_dag,
+    "near": partial(random_dag, reach=50),
+}
 
 
 def nodegraph_graph(edges: Edges) -> Graph:
